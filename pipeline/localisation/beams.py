@@ -52,9 +52,9 @@ def prepare(
     silent = np.flatnonzero(scan.lidar.silent(scan.ranges))
     still = scan.lidar.time_increment == 0.0
     motion = np.zeros((1, 3)) if T_start_end is None or still else T_start_end.xyt[None]
-    angles, lidar = scan.lidar.angles, T_base_lidar.xyt
-    origins, directions = deskewed(angles[hit], hit / len(angles), lidar, motion)
-    silent_origins, silent_directions = deskewed(angles[silent], silent / len(angles), lidar, motion)
+    beams, lidar = scan.lidar.directions, T_base_lidar.xyt
+    origins, directions = deskewed(beams[hit], hit / len(beams), lidar, motion)
+    silent_origins, silent_directions = deskewed(beams[silent], silent / len(beams), lidar, motion)
     points = origins + directions * ranges[hit, None]
     return Beams(points, origins, ranges[hit], silent_directions, silent_origins)
 

@@ -108,7 +108,7 @@ class Sensing:
         distance = np.where(near, scan.lidar.range_min, np.where(passed, scan.lidar.range_max, ranges))
         used = np.flatnonzero(hit | passed)
         origins, directions = deskewed(
-            scan.lidar.angles[used],
+            scan.lidar.directions[used],
             used / len(ranges),
             self._T_base_lidar.xyt,
             (first.inverse() @ last).xyt[None],

@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -42,8 +43,6 @@ MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
 Z_SURFACE = 3.09
 # Returns beyond are not used [m]: the farther, the fewer beams a wall has.
 USABLE_M = 30.0
-# Scans whose points are made together: what that takes besides is several times their size.
-SCANS_AT_ONCE = 2000
 # The direction of a line less sure than this says nothing.
 UNSURE_RAD = 0.3
 
@@ -114,34 +113,23 @@ def make_clouds(
     log itself shows it.
     """
     noise = range_noise(recording, usable_range) if noise is None else noise
-    lidar, readings = recording.lidar, recording.ranges if scans is None else recording.ranges[scans]
+    lidar, some = recording.lidar, slice(None) if scans is None else scans
+    readings, knots = recording.ranges[some], known_motion(recording, motion)[some].xyt
     valid = lidar.returns(readings) & (readings <= usable_range)
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
-    if lidar.time_increment == 0.0:
-        motion = None
-    else:
-        motion = motion if motion is not None else sweep_motion(recording)
-        motion = motion if motion is None or scans is None else motion[scans]
     points, point_var = np.empty((starts[-1], 2)), np.empty(starts[-1], dtype=np.float32)
-    for first in range(0, len(readings), SCANS_AT_ONCE):
-        some = slice(first, min(first + SCANS_AT_ONCE, len(readings)))
-        rows = slice(starts[some.start], starts[some.stop])
-        scan_of, beam_of = np.nonzero(valid[some])
-        ranges = readings[some][valid[some]].astype(np.float64)
-        points[rows] = recording.T_base_lidar @ (lidar.directions[beam_of] * ranges[:, None])
-        point_var[rows] = noise.variance(ranges)
-        if motion is not None:
-            at = beam_of / max(lidar.n_beams - 1, 1)
-            points[rows] = _deskewed(points[rows], motion[some], scan_of, at)
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
     increment = abs(lidar.angle_increment) * recording.stride
     n_bins = max(8, round(2.0 * math.pi / increment))
-    normals, centers = np.zeros(points.shape, dtype=np.float32), points.astype(np.float32)
+    normals, centers = (np.zeros(points.shape, dtype=np.float32) for _ in range(2))
     line_ok, normal_var = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points), dtype=np.float32)
     table = np.full((len(readings), n_bins), -1, dtype=np.int32)
 
     def prepare(rows: slice) -> None:
         part = starts[rows.start : rows.stop + 1]
+        these, ranges = slice(part[0], part[-1]), readings[rows][valid[rows]].astype(np.float64)
+        _place(valid[rows], ranges, lidar.directions, recording.T_base_lidar.xyt, knots[rows], points[these])
+        centers[these], point_var[these] = points[these], noise.variance(ranges)
         _fit_lines(points, part, origin, increment, normals, centers, line_ok, point_var, normal_var)
         _bearing_tables(points, part, origin, table[rows])
 
@@ -196,13 +184,29 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     return SE2(whole[:, None] * (np.arange(1, KNOTS + 1) / KNOTS)[:, None])
 
 
-def _deskewed(points: Array, motion: SE2, scan_of: NDArray, fraction: Array) -> Array:
-    """Each point moved into the base frame at the sweep's start, the base moving evenly between knots."""
-    knots = np.concatenate([np.zeros((len(motion), 1, 3)), motion.xyt], axis=1)
-    at = fraction * KNOTS
-    k = np.minimum(at.astype(np.int64), KNOTS - 1)
-    before, after = knots[scan_of, k], knots[scan_of, k + 1]
-    return SE2(before + (at - k)[:, None] * (after - before)) @ points
+def known_motion(recording: Recording, motion: SE2 | None = None) -> SE2:
+    """`motion` (n, KNOTS), or that by odometry where it is None; zero where nobody knows, or where the lidar
+    takes all beams at once."""
+    if recording.lidar.time_increment != 0.0:
+        motion = sweep_motion(recording) if motion is None else motion
+        if motion is not None:
+            return motion
+    return SE2(np.zeros((len(recording), KNOTS, 3)))
+
+
+@njit(cache=True, nogil=True)
+def _place(
+    valid: NDArray, ranges: Array, beams: Array, T_base_lidar: Array, motion: Array, points: Array
+) -> None:
+    """Where the valid beams (n, beams) of such ranges (m,) end, in the base frame at the sweep's start."""
+    fractions = np.linspace(0.0, 1.0, len(beams))
+    row = 0
+    for scan in range(len(valid)):
+        origins, directions = deskewed(beams, fractions, T_base_lidar, motion[scan])
+        for beam in np.flatnonzero(valid[scan]):
+            points[row, 0] = origins[beam, 0] + ranges[row] * directions[beam, 0]
+            points[row, 1] = origins[beam, 1] + ranges[row] * directions[beam, 1]
+            row += 1
 
 
 @njit(cache=True, nogil=True)

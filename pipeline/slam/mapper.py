@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.clouds import KNOTS, sweep_motion
+from turtlebag.pipeline.slam.clouds import known_motion
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import front_end_maker
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds, Rows
@@ -180,12 +180,12 @@ class Mapper:
         if number < SCANS and number & (number + 1) == 0:
             # what the lidar's noise is shows the better the more scans there are
             self._clouds.noise = range_noise(self._log.recording(), self._usable)
-        motion = sweep_motion(one) if one.lidar.time_increment != 0.0 else None
+        motion = known_motion(one)
         self._clouds.append(one, self._usable, motion)
         self._number.append(np.array([number]))
         self._stamps.append(one.stamps_ns)
         self._odometry.append(np.zeros((1, 3)) if one.T_odom_base is None else one.T_odom_base.xyt)
-        self._motion.append(np.zeros((1, KNOTS, 3)) if motion is None else motion.xyt)
+        self._motion.append(motion.xyt)
 
     def _begin(self) -> None:
         clouds, make = self._clouds.view(), front_end_maker(self.config.front_end)

@@ -11,18 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Recording
-from turtlebag.pipeline.slam.clouds import KNOTS, sweep_motion
+from turtlebag.pipeline.slam.clouds import known_motion
 
 MAX_COUNTED = 400_000_000
 """Cells to count beams in; most are cut off when the map is trimmed to what is known."""
@@ -60,6 +62,18 @@ class OccupancyConfig(BaseModel):
     no_return_m: float = Field(
         default=8.0, ge=0.0, description="a beam without return clears at most this far; 0: nothing"
     )
+
+
+class Counts(NamedTuple):
+    """For each cell (rows, cols) how many beams it returned, and how many passed through it."""
+
+    hits: NDArray[np.uint16]
+    misses: NDArray[np.uint16]
+
+    @classmethod
+    def none(cls, rows: int, cols: int) -> Counts:
+        """No beams so far."""
+        return cls(np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16))
 
 
 @dataclass(frozen=True)
@@ -102,22 +116,20 @@ def make_checked_grid(
     extent = np.ceil(high / resolution) - corner
     _require_cells(extent[::-1].tolist(), MAX_COUNTED)
     cols, rows = extent.astype(int)
-    if motion is None and lidar.time_increment != 0.0:
-        motion = sweep_motion(recording)
-    if rows * cols > MAX_CELLS and motion is None:
+    knots = known_motion(recording, motion).xyt
+    if rows * cols > MAX_CELLS and not knots.any():
         # most of what is counted may be cut off again: only what is surely known is too large for certain
         known = _known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution)
         _require_cells(known, MAX_CELLS)
-    hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
-    sweep = np.zeros((0, KNOTS, 3)) if motion is None else motion.xyt
-    args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)
-    _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, True, config.occupied_share)
-    _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, False, config.occupied_share)
-    return trimmed(classify(hits, misses, config), corner, config), certainty(hits, misses, config.min_hits)
+    counts, T_grid_base = Counts.none(rows, cols), T_map_base.xyt - np.array([*(corner * resolution), 0.0])
+    seen_from = (lidar.directions, recording.T_base_lidar.xyt, knots)
+    _cast(counts, resolution, (length, returned), seen_from, T_grid_base, config.occupied_share)
+    return trimmed(classify(counts, config), corner, config), certainty(counts, config.min_hits)
 
 
-def certainty(hits: NDArray[np.uint16], misses: NDArray[np.uint16], min_hits: int) -> Certainty:
+def certainty(counts: Counts, min_hits: int) -> Certainty:
     """How well the beams agree on the cells: a wall drawn twice is seen through, and so undecided."""
+    hits, misses = counts
     met = hits.astype(np.int32) + misses
     known = met >= MIN_MET
     if not known.any():
@@ -147,10 +159,9 @@ def beam_lengths(
     return length.astype(np.float32), returned
 
 
-def classify(
-    hits: NDArray[np.uint16], misses: NDArray[np.uint16], config: OccupancyConfig
-) -> NDArray[np.int8]:
-    """Occupied, free or unknown from the counts of returns and of beams passing through."""
+def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
+    """Occupied, free or unknown."""
+    hits, misses = counts
     seen = hits.astype(np.int32) + misses
     cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)
     cells[misses > 0] = FREE
@@ -256,74 +267,52 @@ def _require_cells(shape: Sequence[float], most: int) -> None:
 
 @njit(cache=True)
 def _cast(
-    hits: NDArray,
-    misses: NDArray,
-    corner: Array,
+    counts: Counts,
     resolution: float,
-    length: NDArray,
-    returned: NDArray,
-    angles: Array,
-    poses: Array,
-    T_base_lidar: Array,
-    motion: Array,
-    with_return: bool,
+    beams: tuple[NDArray, NDArray],
+    lidar: tuple[Array, Array, Array],
+    T_grid_base: Array,
     share: float,
 ) -> None:
-    """Trace the beams that returned (first), or those that did not (second: surfaces stop them)."""
+    """Trace the beams that returned, then those that did not: surfaces stop them.
+
+    `beams` are lengths and whether they returned, as of `beam_lengths`; `lidar` are the unit vectors of the
+    beams, T_base_lidar, and the base's motion during each sweep, as of `known_motion`.
+    """
+    (length, returned), (directions, T_base_lidar, motion) = beams, lidar
     n_scans, n_beams = length.shape
-    for scan in range(n_scans):
-        for beam in range(n_beams):
-            reach = float(length[scan, beam])
-            if reach <= 0.0 or returned[scan, beam] != with_return:
-                continue
-            x, y, yaw = poses[scan, 0], poses[scan, 1], poses[scan, 2]
-            if len(motion) > 0 and n_beams > 1:
-                f = beam / (n_beams - 1) * KNOTS
-                k = min(int(f), KNOTS - 1)
-                f -= k
-                mx, my, turn = f * motion[scan, k, 0], f * motion[scan, k, 1], f * motion[scan, k, 2]
-                if k > 0:
-                    mx += (1.0 - f) * motion[scan, k - 1, 0]
-                    my += (1.0 - f) * motion[scan, k - 1, 1]
-                    turn += (1.0 - f) * motion[scan, k - 1, 2]
-                c, s = math.cos(yaw), math.sin(yaw)
-                x += c * mx - s * my
-                y += s * mx + c * my
-                yaw += turn
-            c, s = math.cos(yaw), math.sin(yaw)
-            ox = x + c * T_base_lidar[0] - s * T_base_lidar[1]
-            oy = y + s * T_base_lidar[0] + c * T_base_lidar[1]
-            direction = yaw + T_base_lidar[2] + angles[beam]
-            trace(
-                hits,
-                misses,
-                (ox - corner[0]) / resolution,
-                (oy - corner[1]) / resolution,
-                math.cos(direction),
-                math.sin(direction),
-                reach / resolution,
-                with_return,
-                share,
-            )
+    fractions = np.linspace(0.0, 1.0, n_beams)
+    for with_return in (True, False):
+        for scan in range(n_scans):
+            origins, ways = deskewed(directions, fractions, T_base_lidar, motion[scan])
+            c, s = math.cos(T_grid_base[scan, 2]), math.sin(T_grid_base[scan, 2])
+            for beam in range(n_beams):
+                reach = float(length[scan, beam])
+                if reach <= 0.0 or returned[scan, beam] != with_return:
+                    continue
+                x = T_grid_base[scan, 0] + c * origins[beam, 0] - s * origins[beam, 1]
+                y = T_grid_base[scan, 1] + s * origins[beam, 0] + c * origins[beam, 1]
+                dx = c * ways[beam, 0] - s * ways[beam, 1]
+                dy = s * ways[beam, 0] + c * ways[beam, 1]
+                start = (x / resolution, y / resolution)
+                trace(counts, start, (dx, dy), reach / resolution, with_return, share)
 
 
 @njit(cache=True)
 def trace(
-    hits: NDArray,
-    misses: NDArray,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
+    counts: Counts,
+    start: tuple[float, float],
+    direction: tuple[float, float],
     length: float,
     returned: bool,
     share: float,
 ) -> None:
-    """Count one beam from (x, y) along the unit vector (dx, dy), all in cells.
+    """Count one beam from `start` (x, y) along the unit vector `direction`, all in cells.
 
     The cell before the return is spared: range noise and the wall's own thickness put returns there.
     A beam without return ends at the first cell that others saw occupied.
     """
+    (hits, misses), (x, y), (dx, dy) = counts, start, direction
     rows, cols = hits.shape
     col, row = math.floor(x), math.floor(y)
     end_col, end_row = math.floor(x + dx * length), math.floor(y + dy * length)

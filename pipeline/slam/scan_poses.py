@@ -14,12 +14,14 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP, MOST_POINTS, NEIGHBOURS, Prior, align_kernel
 from turtlebag.pipeline.slam.cloud_parts import chosen, joined_clouds
-from turtlebag.pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
+from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, Limits
 from turtlebag.pipeline.slam.pose_graph import Poses, relative
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import Track
 
+# Scans whose points are made together: what that takes besides is several times their size.
+SCANS_AT_ONCE = 2000
 # Gauss-Newton steps of one scan.
 ITERATIONS = 5
 NO_GAPS = np.zeros((0, 2), dtype=np.int64)

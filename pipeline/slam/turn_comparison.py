@@ -19,7 +19,7 @@ from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
-from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, make_clouds, sweep_motion
+from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, known_motion, make_clouds
 from turtlebag.pipeline.slam.gyro import turns_with
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, RangeNoise, range_noise
@@ -261,7 +261,6 @@ def tracked_alone(
     """Some scans (n,) tracked by themselves, each sweep undone by an odometry so much late."""
     stamps_ns = recording.stamps_ns[rows]
     late = replace(recording, stamps_ns=stamps_ns + round(late_s * 1e9))
-    motion = sweep_motion(late) if recording.lidar.time_increment != 0.0 else None
     alone = replace(
         recording,
         stamps_ns=stamps_ns,
@@ -270,7 +269,7 @@ def tracked_alone(
         odometry=None,
         imu=None,
     )
-    clouds = make_clouds(alone, USABLE_M, motion, noise)
+    clouds = make_clouds(alone, USABLE_M, known_motion(late), noise)
     return track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
 
 

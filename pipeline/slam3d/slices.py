@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.occupancy import MAX_COUNTED, OccupancyConfig, classify, trace, trimmed
+from turtlebag.pipeline.slam.occupancy import MAX_COUNTED, Counts, OccupancyConfig, classify, trace, trimmed
 
 SLICE_REACH_M = 20.0
 """Beams are used up to here."""
@@ -50,8 +49,7 @@ class SliceGrid:
             raise InputError(
                 f"the map would have {rows} x {cols} cells; choose a larger slice.grid.resolution_m"
             )
-        shape = int(extent[1]), int(extent[0])
-        self._hits, self._misses = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint16)
+        self._counts = Counts.none(int(extent[1]), int(extent[0]))
 
     def add(self, points: Array, origin: Array, floor: float) -> None:
         """Count the beams from `origin` (3,) to points (n, 3), all in the map; `floor` is the floor's z."""
@@ -60,17 +58,15 @@ class SliceGrid:
         band = (floor + np.array([config.low_m, config.high_m])) / resolution
         start, ends = (origin - corner) / resolution, (points - corner) / resolution
         share = config.grid.occupied_share
-        carve(self._hits, self._misses, ends, start, band, SLICE_REACH_M / resolution, share)
+        carve(self._counts, ends, start, band, SLICE_REACH_M / resolution, share)
 
     def grid(self) -> OccupancyGrid:
         """The grid so far."""
-        return trimmed(classify(self._hits, self._misses, self._config.grid), self._corner, self._config.grid)
+        return trimmed(classify(self._counts, self._config.grid), self._corner, self._config.grid)
 
 
 @njit(cache=True)
-def carve(
-    hits: NDArray, misses: NDArray, ends: Array, start: Array, band: Array, most: float, share: float
-) -> None:
+def carve(counts: Counts, ends: Array, start: Array, band: Array, most: float, share: float) -> None:
     """Trace the part within the band of each beam from start (3,) to ends (n, 3), all in cells.
 
     First the beams that end within the band, then those that only pass through it.
@@ -93,4 +89,4 @@ def carve(
             if leave <= enter:
                 continue
             x, y, length = start[0] + enter * dx, start[1] + enter * dy, (leave - enter) * level
-            trace(hits, misses, x, y, dx / level, dy / level, length, with_return, share)
+            trace(counts, (x, y), (dx / level, dy / level), length, with_return, share)

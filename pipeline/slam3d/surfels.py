@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets import se3
+from turtlebag.datasets.deskew import deskewed_points
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam3d.sweeps import deskewed
 
 MAX_CELLS = 24_000_000
 NOISE_M = 0.01
@@ -174,7 +174,7 @@ def fit(
     anchor = (INFLATION / prior**2)[: 6 if motion is None else 12]
     away = np.zeros(len(anchor))
     for iteration in range(iterations):
-        still = points if xi is None else deskewed(points, when, np.stack([np.zeros(6), xi]))
+        still = points if xi is None else deskewed_points(points, when, np.stack([np.zeros(6), xi]))
         H, b, overlap, rmse = normal_equations(
             still, when, origin, np.ascontiguousarray(T), surfels, gate, width
         )

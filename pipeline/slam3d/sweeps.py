@@ -5,13 +5,12 @@ The motion within a sweep comes from the odometry's own samples, or from a twist
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from turtlebag.datasets import se3
-from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.deskew import deskewed_points
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
 
@@ -23,44 +22,6 @@ MIN_RANGE_M, MAX_RANGE_M = 0.3, 100.0
 """Nearer points may be the robot itself, farther ones are not used."""
 MOST_POINTS = 60_000
 """Larger clouds are thinned evenly."""
-
-
-@njit(cache=True)
-def _dot(a: Array, b: Array) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(cache=True)
-def deskewed(points: Array, when: Array, knots: Array) -> Array:
-    """Points (n, 3) taken at times `when` (n,) in [0, 1] of a sweep, seen from its start.
-
-    knots (k, 6): tangent vectors (rotation, translation) of the pose at k equal steps of the sweep,
-    relative to its start; between them they are interpolated. All in the base frame.
-    """
-    out = np.empty_like(points)
-    w, v = np.zeros(3), np.zeros(3)
-    last = knots.shape[0] - 1
-    for i in range(points.shape[0]):
-        at = min(max(when[i], 0.0), 1.0) * last
-        k = min(int(at), last - 1)
-        f = at - k
-        for a in range(3):
-            w[a] = (1 - f) * knots[k, a] + f * knots[k + 1, a]
-            v[a] = (1 - f) * knots[k, 3 + a] + f * knots[k + 1, 3 + a]
-        angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-        one, two, three = 1.0, 0.5, 1.0 / 6.0
-        if angle > 1e-4:
-            one, two = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)
-            three = (1.0 - one) / (angle * angle)
-        # R p + V v, with R = 1 + one W + two W W and V = 1 + two W + three W W
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            wp, wv = w[b] * points[i, c] - w[c] * points[i, b], w[b] * v[c] - w[c] * v[b]
-            # W W x = w (w . x) - x (w . w)
-            wwp = w[a] * _dot(w, points[i]) - angle * angle * points[i, a]
-            wwv = w[a] * _dot(w, v) - angle * angle * v[a]
-            out[i, a] = points[i, a] + one * wp + two * wwp + v[a] + two * wv + three * wwv
-    return out
 
 
 class Sweep:
@@ -91,7 +52,7 @@ class Sweep:
             if twist is None:
                 return self.points
             knots = np.linspace(self._start, self._end, 2)[:, None] * twist
-        return deskewed(self.points, self.when(), knots)
+        return deskewed_points(self.points, self.when(), knots)
 
 
 def sweeps_of(recording: Recording3D, T_base_lidar: Array, *, deskew: bool) -> Iterator[tuple[int, Sweep]]:

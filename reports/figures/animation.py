@@ -6,6 +6,7 @@ Below each picture a strip with the simulated time and a scale bar.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,9 +16,10 @@ import scipy
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.figures.maps import length_text, scale_length, view_box
 from turtlebag.reports.metrics.navigation import truly_reached
 
@@ -104,7 +106,7 @@ def mapping(
     done = 0
     for last in steps:
         for k in range(done, int(last) + 1, stride):
-            tally.add(recording, k, beam_poses(recording.lidar, slam, k))
+            tally.add(recording, k, beams_in_map(recording, slam, k))
         done = int(last) + 1
         frame = canvas.blank()
         frame.paste(tally.picture())
@@ -118,18 +120,19 @@ def mapping(
         yield frame
 
 
-def beam_poses(lidar: LidarSpec, path: Trajectory, k: int) -> SE2:
-    """Base pose at the instant of each beam of the scan at `path`'s pose k, (n_beams,).
+def beams_in_map(recording: Recording, path: Trajectory, k: int) -> tuple[Array, Array]:
+    """Origins and unit directions (n_beams, 2) of the scan at `path`'s pose k, in that path's frame.
 
-    A lidar that turns while the robot does sees a turned room; the pose moves on to that of scan k + 1.
+    A lidar that turns while the robot does sees a turned room; the base moves on to the pose of scan k + 1.
     """
-    increasing = k + 1 < len(path) and path.stamps_ns[k + 1] > path.stamps_ns[k]
-    if lidar.time_increment == 0.0 or not increasing:
-        return SE2(np.repeat(path.poses.xyt[k : k + 1], lidar.n_beams, axis=0))
-    step = float(path.stamps_ns[k + 1] - path.stamps_ns[k]) * 1e-9
-    return path.poses[k].interpolate(
-        path.poses[k + 1], np.arange(lidar.n_beams) * lidar.time_increment / step
-    )
+    lidar, T_map_base = recording.lidar, path.poses[k]
+    motion, step_s = SE2.identity(1), math.inf
+    if k + 1 < len(path) and path.stamps_ns[k + 1] > path.stamps_ns[k]:
+        motion = T_map_base.inverse() @ path.poses[k + 1 : k + 2]
+        step_s = float(path.stamps_ns[k + 1] - path.stamps_ns[k]) * 1e-9
+    fractions = np.arange(lidar.n_beams) * lidar.time_increment / step_s
+    origins, directions = deskewed(lidar.directions, fractions, recording.T_base_lidar.xyt, motion.xyt)
+    return T_map_base @ origins, SE2.from_xyt(0.0, 0.0, T_map_base.yaw) @ directions
 
 
 class _Tally:
@@ -141,21 +144,18 @@ class _Tally:
         self._cells = Canvas(canvas.x0, canvas.y1, columns * canvas.scale / canvas.size[0], (columns, rows))
         self._hits, self._free = (np.zeros((rows, columns), dtype=np.int32) for _ in range(2))
 
-    def add(self, recording: Recording, k: int, T_map_base: SE2) -> None:
+    def add(self, recording: Recording, k: int, beams: tuple[Array, Array]) -> None:
         """Count one scan. A beam is a wedge up to half a cell before its hit; a silent one says nothing."""
-        lidar, cells = recording.lidar, self._cells
+        lidar, cells, (origins, directions) = recording.lidar, self._cells, beams
         hit = lidar.returns(recording.ranges[k])
         ranges = np.where(hit, np.minimum(np.nan_to_num(recording.ranges[k].astype(np.float64)), FAN_M), 0.0)
-        T_map_lidar = T_map_base @ recording.T_base_lidar
         seen = Image.new("1", cells.size)
         reach = np.maximum(ranges - 0.5 / cells.scale, 0.0)[:, None]
         half = 0.5 * lidar.angle_increment
-        edges = [
-            T_map_lidar @ (SE2.from_xyt(0.0, 0.0, turn) @ lidar.directions * reach) for turn in (-half, half)
-        ]
-        fan = np.concatenate([T_map_lidar.xy[:1], np.stack(edges, axis=1).reshape(-1, 2)])
+        edges = [origins + (SE2.from_xyt(0.0, 0.0, turn) @ directions) * reach for turn in (-half, half)]
+        fan = np.concatenate([origins[:1], np.stack(edges, axis=1).reshape(-1, 2)])
         ImageDraw.Draw(seen).polygon(cells.pixels(fan), fill=1)
-        ends = (T_map_lidar @ (lidar.directions * ranges[:, None]))[hit & (ranges < FAN_M)]
+        ends = (origins + directions * ranges[:, None])[hit & (ranges < FAN_M)]
         column, row = np.floor(np.array(cells.pixels(ends)).reshape(-1, 2).T).astype(np.int64)
         inside = (column >= 0) & (column < cells.size[0]) & (row >= 0) & (row < cells.size[1])
         met = np.zeros_like(self._hits, dtype=bool)
@@ -237,9 +237,9 @@ def _scan(
     if k < 0 or pose >= len(scans_at) or scans_at.stamps_ns[pose] != recording.stamps_ns[k]:
         return
     scan = recording.scan(k)
-    T_map_lidar = beam_poses(recording.lidar, scans_at, pose) @ recording.T_base_lidar
-    points = T_map_lidar[scan.valid()] @ scan.points_lidar()
-    for x, y in canvas.pixels(points):
+    origins, directions = beams_in_map(recording, scans_at, pose)
+    hit = scan.valid()
+    for x, y in canvas.pixels(origins[hit] + directions[hit] * scan.ranges[hit, None]):
         draw.rectangle((x - 1, y - 1, x + 2, y + 2), fill=GREEN)
 
 

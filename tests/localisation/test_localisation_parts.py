@@ -172,7 +172,7 @@ def test_deskewing_undoes_the_sweeps_motion():
     room = l_shaped_room()
     T_room_base, T_start_end = SE2.from_xyt(2.0, 2.2, 0.4), SE2.from_xyt(0.06, 0.004, 0.25)
     origins, directions = deskewed(
-        LIDAR.angles, np.arange(360) / 360.0, T_BASE_LIDAR.xyt, T_start_end.xyt[None]
+        LIDAR.directions, np.arange(360) / 360.0, T_BASE_LIDAR.xyt, T_start_end.xyt[None]
     )
     yaw = np.arctan2(directions[:, 1], directions[:, 0]) - LIDAR.angles
     T_start_lidar = SE2.from_xyt(origins[:, 0], origins[:, 1], yaw)

@@ -20,7 +20,7 @@ from turtlebag.reports.figures.animation import (
     UNSEEN,
     WALL,
     Canvas,
-    beam_poses,
+    beams_in_map,
     gif,
     last_frame,
     mapping,
@@ -69,12 +69,13 @@ def test_a_run_without_map_scans_or_goals_still_moves(drive):
 
 
 def test_beams_of_a_turning_lidar_are_put_where_the_robot_was(drive):
-    path, _ = drive
-    poses = beam_poses(LIDAR, path, 3)
-    np.testing.assert_allclose(poses.x[0], path.poses.x[3])
-    np.testing.assert_allclose(poses.x[45], 0.5 * (path.poses.x[3] + path.poses.x[4]))
-    still = beam_poses(LIDAR, path, 39)
-    np.testing.assert_allclose(still.x, path.poses.x[39])
+    path, recording = drive
+    origins, directions = beams_in_map(recording, path, 3)
+    np.testing.assert_allclose(origins[0], path.poses.xy[3])
+    np.testing.assert_allclose(origins[45], 0.5 * (path.poses.xy[3] + path.poses.xy[4]))
+    np.testing.assert_allclose(directions, LIDAR.directions)
+    still, _ = beams_in_map(recording, path, 39)
+    np.testing.assert_allclose(still, path.poses.xy[[39] * 90])
 
 
 @pytest.mark.parametrize("fov", [360, 240, 120])

@@ -7,6 +7,7 @@ import pytest
 from scipy.special import chdtri, ndtr
 
 from tests.helpers.slam_rooms import LDS, ROOM, recording
+from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam import clouds as module
@@ -14,7 +15,6 @@ from turtlebag.pipeline.slam.clouds import (
     KNOTS,
     Clouds,
     _bearing_tables,
-    _deskewed,
     _fit_lines,
     _limit,
     make_clouds,
@@ -204,20 +204,16 @@ def test_the_motion_of_a_sweep_is_odometrys_at_even_instants_of_it():
 
 def test_points_of_a_sweep_are_put_where_the_base_was_when_they_were_seen():
     rng = np.random.default_rng(6)
-    motion = SE2(rng.normal(0.0, 0.2, (3, KNOTS, 3)))
-    points, scan_of, fraction = rng.normal(size=(60, 2)), rng.integers(0, 3, 60), rng.random(60)
-    fraction[:3] = 0.0, 1.0, 1.0 / KNOTS
-    knots = np.arange(KNOTS + 1) / KNOTS
-    for point, scan, f, found in zip(
-        points, scan_of, fraction, _deskewed(points, motion, scan_of, fraction), strict=True
-    ):
-        track = np.vstack([np.zeros(3), motion.xyt[scan]])
-        at = SE2(np.array([np.interp(f, knots, track[:, i]) for i in range(3)]))
-        np.testing.assert_allclose(found, at @ point, atol=1e-12)
+    motion, T_base_lidar = SE2(rng.normal(0.0, 0.2, (3, KNOTS, 3))), SE2.from_xyt(0.1, -0.05, 0.4)
+    stamps, ranges = np.arange(3) * 10**9, rng.uniform(1.0, 5.0, (3, 11)).astype(np.float32)
+    ranges[1, 2:9], ranges[2] = np.inf, np.nan
+    found = make_clouds(Recording("x", stamps, ranges, SLOW, T_base_lidar), 30.0, motion)
+    for k in range(3):
+        hit, when = np.isfinite(ranges[k]), np.linspace(0.0, 1.0, 11)
+        origins, ways = deskewed(SLOW.directions, when, T_base_lidar.xyt, motion.xyt[k])
+        np.testing.assert_allclose(found.of(k), (origins + ways * ranges[k, :, None])[hit], atol=1e-12)
     # the last beam is seen at the very end of the sweep
-    log = Recording(
-        "x", np.array([0, 10**9, 2 * 10**9]), np.full((3, 11), 2.0, np.float32), SLOW, SE2.identity()
-    )
+    log = Recording("x", stamps, np.full((3, 11), 2.0, np.float32), SLOW, SE2.identity())
     ends = make_clouds(log, 30.0, motion).points.reshape(3, 11, 2)
     np.testing.assert_allclose(ends[:, 0], np.tile(2.0 * SLOW.directions[0], (3, 1)), atol=1e-6)
     for k in range(3):

@@ -17,6 +17,7 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.occupancy import (
+    Counts,
     OccupancyConfig,
     beam_lengths,
     certainty,
@@ -159,7 +160,7 @@ def test_map_shows_the_walls_and_clears_the_rest(result):
 def test_beams_follow_their_cells():
     hits, misses = np.zeros((20, 20), dtype=np.uint16), np.zeros((20, 20), dtype=np.uint16)
     direction = np.array([0.8, 0.6])
-    trace(hits, misses, 2.5, 3.3, *direction, 15.0, True, 0.25)
+    trace(Counts(hits, misses), (2.5, 3.3), tuple(direction), 15.0, True, 0.25)
     # reference: the cells of finely spaced points on the beam, all but the last one before the end
     s = np.linspace(0.0, 14.0, 20001)
     crossed = {(int(3.3 + 0.6 * d), int(2.5 + 0.8 * d)) for d in s}
@@ -195,11 +196,11 @@ def test_open_space_is_cleared_to_the_range():
 def test_grid_says_how_decided_its_cells_are():
     hits = np.array([[4, 0, 2, 0, 1]], dtype=np.uint16)
     misses = np.array([[0, 4, 2, 0, 1]], dtype=np.uint16)
-    found = certainty(hits, misses, 2)
+    found = certainty(Counts(hits, misses), 2)
     # cells met by three beams: certain, certain, one bit
     assert found.entropy_bits == pytest.approx(1.0 / 3.0)
     assert found.wall_share == pytest.approx(0.75)
-    assert np.isnan(certainty(hits * 0, misses * 0, 2).entropy_bits)
+    assert np.isnan(certainty(Counts.none(1, 5), 2).entropy_bits)
 
 
 @pytest.mark.slow
@@ -214,7 +215,7 @@ def test_map_drawn_along_drifting_wheels_is_called_doubtful(log, result):
 def test_cells_are_what_most_beams_say():
     hits = np.array([[0, 0, 1, 2, 9, 1]], dtype=np.uint16)
     misses = np.array([[0, 3, 0, 1, 60, 9]], dtype=np.uint16)
-    cells = classify(hits, misses, OccupancyConfig())
+    cells = classify(Counts(hits, misses), OccupancyConfig())
     assert cells.tolist() == [[UNKNOWN, FREE, UNKNOWN, OCCUPIED, FREE, FREE]]
 
 

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
+from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.clouds import KNOTS, make_clouds
 from turtlebag.pipeline.slam.correlative import UNSEEN, Field, best_pose, make_field
 from turtlebag.pipeline.slam.occupancy import (
+    Counts,
     OccupancyConfig,
     _beside,
     _cast,
@@ -59,9 +61,9 @@ def test_beams_are_counted_in_the_cells_between_the_lines_they_cross(seed):
         angle, length, returned = rng.uniform(-4, 4), rng.uniform(0.0, 25.0), bool(rng.random() < 0.6)
         if rng.random() < 0.2:
             angle = rng.integers(4) * 0.5 * math.pi
-        beam = x, y, round(math.cos(angle), 15), round(math.sin(angle), 15), length, returned, 0.25
-        trace(hits, misses, *beam)
-        plain_trace(*expected, *beam)
+        way = round(math.cos(angle), 15), round(math.sin(angle), 15)
+        trace(Counts(hits, misses), (x, y), way, length, returned, 0.25)
+        plain_trace(*expected, x, y, *way, length, returned, 0.25)
     np.testing.assert_array_equal(hits, expected[0])
     np.testing.assert_array_equal(misses, expected[1])
 
@@ -69,35 +71,26 @@ def test_beams_are_counted_in_the_cells_between_the_lines_they_cross(seed):
 @pytest.mark.slow
 def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
     rng = np.random.default_rng(5)
-    n, beams, res, corner = 3, 7, 0.1, np.array([-3.0, -2.5])
-    poses, motion = rng.normal(0.0, 0.8, (n, 3)), rng.normal(0.0, 0.2, (n, KNOTS, 3))
+    n, beams, res = 3, 7, 0.1
+    poses, motion = rng.normal([2.5, 3.0, 0.0], 0.8, (n, 3)), rng.normal(0.0, 0.2, (n, KNOTS, 3))
     length, returned = rng.uniform(-0.5, 2.5, (n, beams)), rng.random((n, beams)) < 0.6
-    angles, T_base_lidar = np.linspace(-2.0, 2.0, beams), np.array([0.15, -0.08, 0.5])
-    for moving in (motion, motion[:0]):
-        found, expected = ([np.zeros((50, 60), np.uint16) for _ in range(2)] for _ in range(2))
+    lidar, T_base_lidar = LidarSpec(beams, -2.0, 4.0 / (beams - 1), 0.1, 8.0), np.array([0.15, -0.08, 0.5])
+    for moving in (motion, np.zeros((n, 1, 3))):
+        found, expected = Counts.none(50, 60), Counts.none(50, 60)
+        _cast(found, res, (length, returned), (lidar.directions, T_base_lidar, moving), poses, 0.25)
         for with_return in (True, False):
-            args = (corner, res, length, returned, angles, poses, T_base_lidar, moving, with_return, 0.25)
-            _cast(*found, *args)
             for k in range(n):
-                track = (
-                    np.vstack([np.zeros(3), *(moving[k : k + 1])])
-                    if len(moving)
-                    else np.zeros((KNOTS + 1, 3))
+                origins, ways = deskewed(
+                    lidar.directions, np.linspace(0.0, 1.0, beams), T_base_lidar, moving[k]
                 )
+                starts, ways = SE2(poses[k]) @ origins / res, SE2.from_xyt(0.0, 0.0, poses[k, 2]) @ ways
                 for b in range(beams):
-                    if length[k, b] <= 0.0 or returned[k, b] != with_return:
-                        continue
-                    f = b / (beams - 1) * KNOTS
-                    at = SE2(np.array([np.interp(f, np.arange(KNOTS + 1), track[:, i]) for i in range(3)]))
-                    x, y, yaw = (SE2(poses[k]) @ at @ SE2(T_base_lidar)).xyt
-                    x, y = (np.array([x, y]) - corner) / res
-                    way = yaw + angles[b]
-                    trace(
-                        *expected, x, y, math.cos(way), math.sin(way), length[k, b] / res, with_return, 0.25
-                    )
-        np.testing.assert_array_equal(found[0], expected[0])
-        np.testing.assert_array_equal(found[1], expected[1])
-        assert found[0].sum() > 5
+                    if length[k, b] > 0.0 and returned[k, b] == with_return:
+                        reach = length[k, b] / res
+                        trace(expected, tuple(starts[b]), tuple(ways[b]), reach, with_return, 0.25)
+        np.testing.assert_array_equal(found.hits, expected.hits)
+        np.testing.assert_array_equal(found.misses, expected.misses)
+        assert found.hits.sum() > 5
 
 
 def test_how_far_a_beam_clears_and_whether_it_ends_on_something():
@@ -134,20 +127,20 @@ def test_the_counts_agree_or_not_in_bits():
     misses = np.array([[0, 5, 2, 1, 1]], dtype=np.uint16)
     share = np.array([1.0, 0.0, 0.5, 0.75])  # the fourth was met twice only
     bits = [0.0 if p in (0.0, 1.0) else -p * math.log2(p) - (1 - p) * math.log2(1 - p) for p in share]
-    found = certainty(hits, misses, 2)
+    counts = Counts(hits, misses)
+    found = certainty(counts, 2)
     assert found.entropy_bits == pytest.approx(np.mean(bits))
     assert found.wall_share == pytest.approx(np.mean([1.0, 0.5, 0.75]))
-    assert certainty(hits, misses, 3).wall_share == pytest.approx(np.mean([1.0, 0.75]))
-    assert math.isnan(certainty(hits, misses, 9).wall_share)
-    nothing = certainty(hits[:, 3:4], misses[:, 3:4], 1)
+    assert certainty(counts, 3).wall_share == pytest.approx(np.mean([1.0, 0.75]))
+    assert math.isnan(certainty(counts, 9).wall_share)
+    nothing = certainty(Counts(hits[:, 3:4], misses[:, 3:4]), 1)
     assert math.isnan(nothing.entropy_bits)
     assert math.isnan(nothing.wall_share)
     # exactly as many beams as are needed, and more than sixteen bits hold
-    assert certainty(np.array([[2]], np.uint16), np.array([[1]], np.uint16), 1).wall_share == pytest.approx(
-        2 / 3
-    )
+    just = Counts(np.array([[2]], np.uint16), np.array([[1]], np.uint16))
+    assert certainty(just, 1).wall_share == pytest.approx(2 / 3)
     full = np.array([[65535]], np.uint16)
-    assert certainty(full, full, 1).wall_share == 0.5
+    assert certainty(Counts(full, full), 1).wall_share == 0.5
 
 
 def test_a_cell_is_a_wall_from_its_share_and_hits_on_and_free_from_one_miss():
@@ -155,7 +148,7 @@ def test_a_cell_is_a_wall_from_its_share_and_hits_on_and_free_from_one_miss():
     misses = np.array([[0, 1, 0, 6, 7, 0, 65000]], dtype=np.uint16)
     config = OccupancyConfig(occupied_share=0.25, min_hits=2, behind_share=0.0, before_share=0.0)
     u, f, x = UNKNOWN, FREE, OCCUPIED
-    assert classify(hits, misses, config).tolist() == [[u, f, u, x, f, x, x]]
+    assert classify(Counts(hits, misses), config).tolist() == [[u, f, u, x, f, x, x]]
 
 
 def test_neighbours_are_the_four_beside_a_cell_and_none_beyond_the_border():

@@ -20,7 +20,6 @@ from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor, dissimilarity
 from turtlebag.pipeline.slam3d.slices import SliceConfig, SliceGrid
 from turtlebag.pipeline.slam3d.surfels import fit, make_surfels, normal_equations, observable
-from turtlebag.pipeline.slam3d.sweeps import deskewed
 from turtlebag.reports.g2o import read_g2o
 
 RNG = np.random.default_rng(7)
@@ -57,15 +56,6 @@ def test_transforms_are_those_of_the_matrix_exponential():
     np.testing.assert_allclose(gtsam.Pose3.Logmap(gtsam.Pose3(T[0])), se3.log(T[0]), atol=1e-9)
     planar = SE2.from_xyt(1.0, -2.0, 0.7)
     np.testing.assert_allclose(se3.planar(se3.lifted(planar)).xyt, planar.xyt, atol=1e-12)
-
-
-def test_deskewing_is_the_motion_of_each_point_undone():
-    twist = np.array([0.02, -0.03, 0.2, 0.1, 0.02, -0.01])
-    still, when = RNG.normal(size=(50, 3)) * 3.0, RNG.uniform(size=50)
-    knots = np.linspace(0.0, 1.0, 9)[:, None] * twist
-    poses = se3.exp(when[:, None] * twist)
-    taken = np.array([se3.moved(se3.inverse(T), p[None])[0] for T, p in zip(poses, still, strict=True)])
-    np.testing.assert_allclose(deskewed(taken, when, knots), still, atol=1e-9)
 
 
 def reference_equations(points, when, T, surfels, gate, width):
