@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
-from turtlebag.datasets.bags.mcap import McapWriter
+from mcap.writer import Writer
+
 from turtlebag.datasets.bags.topics import (
     CUSTOM_RECORD,
     DATA_FILE,
@@ -14,6 +16,11 @@ from turtlebag.datasets.bags.topics import (
     metadata_text,
 )
 from turtlebag.datasets.errors import InputError
+
+CHUNK_BYTES = 128 * 1024
+"""A chunk is handed to the operating system when its content has this size ..."""
+CHUNK_NS = 1_000_000_000
+"""... or spans this time, whichever comes first: so much is lost at the most when the writer is killed."""
 
 
 class BagFolder:
@@ -24,19 +31,24 @@ class BagFolder:
             folder.mkdir(parents=True, exist_ok=True)
             if (folder / METADATA_FILE).exists():
                 raise FileExistsError
-            self._mcap = McapWriter(folder / DATA_FILE)
+            self._file = (folder / DATA_FILE).open("xb")
         except FileExistsError:
             raise InputError(f"{folder}: already holds a bag; choose another folder") from None
         except OSError as error:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
         self._folder = folder
         self._custom = dict(custom)
+        self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        self._mcap.start("ros2", "turtlebag")
         if custom:  # at the beginning, where a crash cannot take it away
-            self._mcap.add_metadata(CUSTOM_RECORD, custom)
+            self._mcap.add_metadata(CUSTOM_RECORD, self._custom)
+        self._mcap.flush()
         self._topics: list[tuple[str, str, str, str]] = []
+        self._counts: list[int] = []
         self._schemas: dict[tuple[str, str, str], int] = {}
+        self._span_ns: tuple[int, int] | None = None
+        self._flushed_ns: int | None = None
         self._closed = False
-        self.write = self._mcap.write  # (channel, log time [ns], data); bound once, it is called often
 
     def __enter__(self) -> BagFolder:
         return self
@@ -45,12 +57,15 @@ class BagFolder:
         self.leave(kind)
 
     def leave(self, kind: type[BaseException] | None) -> None:
-        """End as a context manager does: close, or abort after an error."""
+        """End as a context manager does: close, or after an error leave the file as it is, unfinished."""
         if kind is None or issubclass(kind, KeyboardInterrupt):
             self.close()
         elif not self._closed:
             self._closed = True
-            self._mcap.abort()
+            with suppress(OSError):  # of a full disk, which the error told
+                self._mcap.flush()
+            with suppress(OSError):
+                self._file.close()
 
     def add_topic(
         self,
@@ -66,10 +81,25 @@ class BagFolder:
         """Register a topic with its message definition; returns the channel to write to."""
         key = msgtype, form, text
         if key not in self._schemas:
-            self._schemas[key] = self._mcap.add_schema(msgtype, text, form)
+            self._schemas[key] = self._mcap.register_schema(msgtype, form, text.encode())
         self._topics.append((name, msgtype, qos, type_hash))
+        self._counts.append(0)
         metadata = {"offered_qos_profiles": qos, "topic_type_hash": type_hash}
-        return self._mcap.add_channel(name, self._schemas[key], metadata, encoding)
+        return self._mcap.register_channel(name, encoding, self._schemas[key], metadata)
+
+    def write(self, channel: int, log_time_ns: int, data: bytes) -> None:
+        """Append one message; ValueError for a time that the format cannot hold."""
+        if not 0 <= log_time_ns < 1 << 64:
+            raise ValueError(f"{log_time_ns} ns is no time of a message")
+        first, last = self._span_ns or (log_time_ns, log_time_ns)
+        self._span_ns = min(first, log_time_ns), max(last, log_time_ns)
+        if self._flushed_ns is None:
+            self._flushed_ns = log_time_ns
+        self._mcap.add_message(channel, log_time_ns, data, log_time_ns, self._counts[channel - 1])
+        self._counts[channel - 1] += 1
+        if abs(log_time_ns - self._flushed_ns) >= CHUNK_NS:
+            self._mcap.flush()
+            self._flushed_ns = None
 
     def close(self) -> None:
         """Finish the file, then write metadata.yaml."""
@@ -77,9 +107,10 @@ class BagFolder:
             return
         self._closed = True
         self._mcap.flush()
-        information = bag_metadata(self._topics, self._mcap.counts, self._mcap.span_ns, self._custom)
+        information = bag_metadata(self._topics, self._counts, self._span_ns or (0, 0), self._custom)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
-        self._mcap.close()
+        self._mcap.finish()
+        self._file.close()
         unfinished = self._folder / (METADATA_FILE + ".tmp")
         unfinished.write_text(metadata_text({"rosbag2_bagfile_information": information}))
         unfinished.rename(self._folder / METADATA_FILE)

@@ -6,18 +6,13 @@ seen; one in the structure ends the reading or is stepped over.
 
 from __future__ import annotations
 
-import bz2
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
-import lz4.frame
-
-from turtlebag.datasets.bags.mcap_scan import Damage
 from turtlebag.datasets.bags.messages import Message, Topic, Wanted, full_type
+from turtlebag.datasets.bags.scan import Damage, Scan, State, unpacked_chunk
 from turtlebag.datasets.bags.topics import TOPICS, metadata_text
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
@@ -28,58 +23,36 @@ _LONGEST_HEADER = 1 << 24
 
 
 @dataclass(slots=True)
-class Ros1State:
-    """What is known of a file after reading it, and what was wrong."""
+class Ros1State(State):
+    """What is known of a file after reading it."""
 
     connections: dict[int, Topic] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    stopped: bool = False
     indexed: bool = False
     chunks: int = 0
     claimed_chunks: int = 0
 
 
-class Ros1Scan:
-    """One file, read sequentially; `state` fills while messages are drawn."""
+class Ros1Scan(Scan):
+    """One ROS 1 bag."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    MAGIC = ROS1_MAGIC
+    KIND = "a ROS 1 bag of version 2.0"
+    state: Ros1State
+
+    def _begin(self, *, step_over: bool) -> None:
         self.state = Ros1State()
-        self._data = FileBytes(path)
-        if self._data[: len(ROS1_MAGIC)] != ROS1_MAGIC:
-            raise InputError(f"{path}: not a ROS 1 bag of version 2.0 (its first bytes are damaged?)")
-
-    def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:
-        """Messages of the wanted topics in file order; damage stops it or is stepped over."""
-        self.state = state = Ros1State()
-        at, end = len(ROS1_MAGIC), len(self._data)
-        self._total = Unpacked(self.path, end)
-        while at < end:
-            try:
-                header, start, size = _record(self._data, at, end)
-                if start + size > end and header.get("op") != bytes([_CHUNK]):
-                    raise Damage("the file ends inside a record")
-                yield from self._record_messages(header, self._data[start : start + size], size, wanted)
-                at = start + size
-            except Damage as damage:
-                state.problems.append(f"damaged at byte {at} of {end}: {damage}")
-                state.stopped = not step_over
-                if not step_over:
-                    return
-                at = self._next_chunk(at + 1)
-        if not state.indexed:
-            state.problems.append("the file has no index: recording was cut off (.bag.active)")
-        elif state.chunks < state.claimed_chunks:
-            state.problems.append(f"{state.claimed_chunks} chunks were written, {state.chunks} could be read")
 
     def _record_messages(
-        self, header: dict[str, bytes], body: bytes, size: int, wanted: Wanted | None
-    ) -> Iterator[Message]:
-        operation = header["op"][0]
+        self, at: int, wanted: Wanted | None, unpacked: Unpacked
+    ) -> Generator[Message, None, int]:
+        header, start, size = _record(self._data, at, len(self._data))
+        operation, body = header["op"][0], self._data[start : start + size]
+        if len(body) < size and operation != _CHUNK:
+            raise Damage("the file ends inside a record")
         if operation == _CHUNK:
             self.state.chunks += 1
             records = _unpacked(header, body, size)
-            self._total.add(len(records))
+            unpacked.add(len(records))
             yield from self._chunk(records, wanted)
             if len(body) < size:
                 raise Damage("the file ends inside a chunk")
@@ -88,6 +61,14 @@ class Ros1Scan:
         elif operation == _HEADER:
             self.state.indexed = any(header.get("index_pos", b""))
             self.state.claimed_chunks = _number(header, "chunk_count")
+        return start + size
+
+    def _end(self) -> None:
+        state = self.state
+        if not state.indexed:
+            state.problems.append("the file has no index: recording was cut off (.bag.active)")
+        elif state.chunks < state.claimed_chunks:
+            state.problems.append(f"{state.claimed_chunks} chunks were written, {state.chunks} could be read")
 
     def _chunk(self, records: bytes, wanted: Wanted | None) -> Iterator[Message]:
         at, end = 0, len(records)
@@ -120,7 +101,6 @@ class Ros1Scan:
         self.state.connections[number] = Topic(topic, msgtype, text, "ros1msg", qos, "", "ros1")
 
     def _next_chunk(self, at: int) -> int:
-        """Where the next plausible chunk begins; the end of the file if none does."""
         end = len(self._data)
         while (mark := self._data.find(_CHUNK_MARK, at)) >= 0:
             for start in range(max(at, mark - 48), mark):
@@ -178,21 +158,11 @@ def _text(header: dict[str, bytes], name: str) -> str:
 def _unpacked(header: dict[str, bytes], body: bytes, size: int) -> bytes:
     """Records of a chunk; of a cut, uncompressed one what is there."""
     compression = _text(header, "compression")
-    try:
-        if compression == "none":
-            return body
-        if len(body) < size:
-            raise Damage("the file ends inside a compressed chunk")
-        if compression not in ("bz2", "lz4"):
-            raise Damage(f"unknown compression {compression[:20]!r}")
-        claimed = _number(header, "size")
-        if claimed > chunk_bound(size):
-            raise Damage("a chunk of an impossible size")
-        unpacker = bz2.BZ2Decompressor() if compression == "bz2" else lz4.frame.LZ4FrameDecompressor()
-        records = bytes(unpacker.decompress(body, max_length=claimed + 1))
-    except (OSError, RuntimeError, ValueError, EOFError, MemoryError) as error:
-        reason = " ".join(str(error).split())[:80]
-        raise Damage(f"a chunk cannot be unpacked ({reason})") from None
-    if len(records) != claimed:
-        raise Damage("a chunk of the wrong size")
-    return records
+    if compression == "none":
+        return body
+    if len(body) < size:
+        raise Damage("the file ends inside a compressed chunk")
+    claimed = _number(header, "size")
+    if claimed > chunk_bound(size):
+        raise Damage("a chunk of an impossible size")
+    return unpacked_chunk(compression, body, claimed)

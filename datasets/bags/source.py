@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import yaml
 
 from turtlebag.datasets.bags.decode import Cursor, Ros1Cursor
-from turtlebag.datasets.bags.mcap import MAGIC
+from turtlebag.datasets.bags.mcap_index import MAGIC
 from turtlebag.datasets.bags.mcap_scan import McapScan
 from turtlebag.datasets.bags.messages import Message, Wanted
 from turtlebag.datasets.bags.ros1_scan import ROS1_MAGIC

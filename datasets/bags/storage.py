@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from turtlebag.datasets.bags.mcap_scan import McapScan
 from turtlebag.datasets.bags.messages import Message, Topic, Wanted, full_type
 from turtlebag.datasets.bags.ros1_scan import Ros1Scan
+from turtlebag.datasets.bags.scan import Scan
 from turtlebag.datasets.bags.topics import metadata_text
 from turtlebag.datasets.errors import InputError
 
@@ -21,7 +22,7 @@ Reader = Callable[[Path, Wanted | None, list[str], bool], Iterator[Message]]
 the reading or is stepped over."""
 
 
-def _scanned(scan_of: type[McapScan | Ros1Scan]) -> Reader:
+def _scanned(scan_of: type[Scan]) -> Reader:
     """Reads a file front to back."""
 
     def messages(path: Path, wanted: Wanted | None, notes: list[str], step_over: bool) -> Iterator[Message]:

@@ -1,13 +1,15 @@
-"""MCAP files as the official writer makes them, in all its ways, and ours as it would."""
-
-import struct
+"""MCAP files as the official writer makes them, in all its ways and in ours."""
 
 import pytest
+import yaml
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_mcap
-from turtlebag.datasets.bags.mcap import MAGIC, MESSAGE, McapWriter
+from turtlebag.datasets.bags.folder import CHUNK_BYTES, BagFolder
+from turtlebag.datasets.bags.mcap_index import HEAD, MAGIC
 from turtlebag.datasets.bags.mcap_scan import McapScan
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
@@ -70,36 +72,72 @@ def test_metadata_and_state_of_a_whole_file(drive, tmp_path):
 
 
 def test_messages_may_be_empty_and_times_unordered(tmp_path):
-    writer = McapWriter(tmp_path / "a.mcap")
-    channel = writer.add_channel("/a", writer.add_schema("std_msgs/msg/Empty", ""), {})
     times = [5_000_000_000, 1, 2**62, 7]
-    for time in times:
-        writer.write(channel, time, b"")
-    writer.close()
-    scan = McapScan(tmp_path / "a.mcap")
+    with BagFolder(tmp_path / "a", custom={}) as bag:
+        channel = bag.add_topic("/a", "std_msgs/msg/Empty", "")
+        for time in times:
+            bag.write(channel, time, b"")
+        for never in (-1, 2**64):
+            with pytest.raises(ValueError, match="no time"):
+                bag.write(channel, never, b"")
+    scan = McapScan(tmp_path / "a" / "bag_0.mcap")
     assert [time for _, time, _ in scan.messages()] == times
     assert scan.state.problems == []
-    assert writer.span_ns == (1, 2**62)
+    information = yaml.safe_load((tmp_path / "a/metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["starting_time"] == {"nanoseconds_since_epoch": 1}
+    assert information["duration"] == {"nanoseconds": 2**62 - 1}
 
 
 def test_a_bag_without_messages_is_whole(tmp_path):
-    McapWriter(tmp_path / "a.mcap").close()
-    scan = McapScan(tmp_path / "a.mcap")
+    BagFolder(tmp_path / "a", custom={}).close()
+    scan = McapScan(tmp_path / "a" / "bag_0.mcap")
     assert list(scan.messages()) == []
     assert scan.state.complete
     assert scan.state.problems == []
     with pytest.raises(InputError, match="no /scan"):
-        load_recording(tmp_path / "a.mcap")
+        load_recording(tmp_path / "a")
 
 
-def test_unknown_compression_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="compression"):
-        McapWriter(tmp_path / "a.mcap", compression="lz5")
+def chunks_of(path):
+    with path.open("rb") as file:
+        return len(make_reader(file).get_summary().chunk_indexes)
+
+
+@pytest.mark.parametrize(
+    ("writes", "chunks"),
+    [
+        pytest.param([(k, bytes(CHUNK_BYTES // 4)) for k in range(9)], 3, id="full"),
+        pytest.param([(k * 10**8, b"") for k in range(25)], 3, id="a second"),
+        pytest.param([(10**10, b""), (10**10 - 10**9, b""), (10**10, b"")], 2, id="a second back"),
+        pytest.param([(10**10, b""), (10**10 - 10**9 + 1, b""), (10**10, b"")], 1, id="less than that"),
+    ],
+)
+def test_a_chunk_is_closed_when_it_is_full_or_spans_a_second(tmp_path, writes, chunks):
+    with BagFolder(tmp_path / "a", custom={}) as bag:
+        channel = bag.add_topic("/a", "A", "")
+        for time, data in writes:
+            bag.write(channel, time, data)
+    assert chunks_of(tmp_path / "a" / "bag_0.mcap") == chunks
+
+
+def test_what_an_error_leaves_holds_its_messages_and_no_end(tmp_path):
+    told = [(k * 10**8, bytes([k])) for k in range(25)]
+    with pytest.raises(RuntimeError), BagFolder(tmp_path / "a", custom={"seed": "3"}) as bag:  # noqa: PT012
+        channel = bag.add_topic("/a", "A", "")
+        for time, data in told:
+            bag.write(channel, time, data)
+        raise RuntimeError
+    scan = McapScan(tmp_path / "a" / "bag_0.mcap")
+    assert [(time, data) for _, time, data in scan.messages()] == told
+    assert not scan.state.complete
+    assert "without its index" in scan.state.problems[0]
+    with pytest.raises(InputError, match="already holds a bag"):
+        BagFolder(tmp_path / "a", custom={})
 
 
 def test_a_message_shorter_than_its_own_head_is_damage(tmp_path):
     path = tmp_path / "a.mcap"
-    path.write_bytes(MAGIC + struct.pack("<BQ", MESSAGE, 4) + b"\0\0\0\0")
+    path.write_bytes(MAGIC + HEAD.pack(Opcode.MESSAGE, 4) + b"\0\0\0\0")
     scan = McapScan(path)
     assert list(scan.messages()) == []
     assert scan.state.problems[0].startswith("damaged at byte 8")

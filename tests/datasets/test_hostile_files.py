@@ -16,7 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 from tests.helpers.bag_samples import write_drive
 from tests.helpers.foreign_bags import laser_scan
 from turtlebag.datasets import files
-from turtlebag.datasets.bags import mcap, mcap_scan, ros1_scan
+from turtlebag.datasets.bags import mcap_scan, ros1_scan
+from turtlebag.datasets.bags.scan import Damage
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import read_unpacked
@@ -59,15 +60,15 @@ def test_chunks_are_unpacked_to_what_they_claim_and_no_further(monkeypatch):
     records = bytes(100_000)
     head = struct.pack("<QQQI", 0, 0, 1000, zlib.crc32(records[:1000]))
     for name, packed in (("lz4", lz4.frame.compress(records)), ("zstd", zstandard.compress(records))):
-        body = head + mcap._text(name) + struct.pack("<Q", len(packed)) + packed
-        with pytest.raises(mcap_scan.Damage, match="wrong size"):
+        body = head + struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(packed)) + packed
+        with pytest.raises(Damage, match="wrong size"):
             mcap_scan._unpack_chunk(body)
     for name, packed in (("lz4", lz4.frame.compress(records)), ("bz2", bz2.compress(records))):
         header = {"compression": name.encode(), "size": struct.pack("<I", 1000)}
-        with pytest.raises(ros1_scan.Damage, match="wrong size"):
+        with pytest.raises(Damage, match="wrong size"):
             ros1_scan._unpacked(header, packed, len(packed))
     monkeypatch.setattr(files, "HARMLESS_BYTES", 1 << 10)
-    with pytest.raises(ros1_scan.Damage, match="impossible size"):
+    with pytest.raises(Damage, match="impossible size"):
         ros1_scan._unpacked({**header, "size": struct.pack("<I", 1 << 20)}, packed, len(packed))
 
 

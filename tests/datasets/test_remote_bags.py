@@ -6,10 +6,10 @@ import fsspec
 import numpy as np
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
+from mcap.writer import Writer
 
 from tests.helpers.bag_samples import write_drive
-from turtlebag.datasets.bags import mcap_ranges
-from turtlebag.datasets.bags.mcap import McapWriter
+from turtlebag.datasets.bags import mcap_index
 from turtlebag.datasets.bags.mcap_scan import McapScan
 from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
@@ -47,27 +47,30 @@ def with_pictures(folder, *, pictures=20):
     """A drive's mcap with a camera's chunks among those of the lidar; its path."""
     write_drive(folder / "drive", seconds=4.0)
     path = folder / "seen.mcap"
-    writer = McapWriter(path)
     rng = np.random.default_rng(1)
     channels = {}
-    for count, (channel, time, data) in enumerate(McapScan(folder / "drive/bag_0.mcap").messages()):
-        if channel.name not in channels:
-            schema = writer.add_schema(channel.msgtype, channel.definition)
-            qos = {"offered_qos_profiles": channel.qos, "topic_type_hash": channel.type_hash}
-            channels[channel.name] = writer.add_channel(channel.name, schema, qos)
-        writer.write(channels[channel.name], time, data)
-        if count == 0:
-            camera = writer.add_channel("/camera", writer.add_schema("sensor_msgs/msg/Image", ""), {})
-        if count % 40 == 0 and count // 40 < pictures:
-            writer.flush()
-            writer.write(camera, time, rng.bytes(PICTURE))
-            writer.flush()
-    writer.close()
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        for count, (channel, time, data) in enumerate(McapScan(folder / "drive/bag_0.mcap").messages()):
+            if channel.name not in channels:
+                schema = writer.register_schema(channel.msgtype, "ros2msg", channel.definition.encode())
+                qos = {"offered_qos_profiles": channel.qos, "topic_type_hash": channel.type_hash}
+                channels[channel.name] = writer.register_channel(channel.name, "cdr", schema, qos)
+            writer.add_message(channels[channel.name], time, data, time)
+            if count == 0:
+                schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+                camera = writer.register_channel("/camera", "cdr", schema)
+            if count % 40 == 0 and count // 40 < pictures:
+                writer.flush()
+                writer.add_message(camera, time, rng.bytes(PICTURE), time)
+                writer.flush()
+        writer.finish()
     return path
 
 
 def test_an_mcap_comes_by_ranges_and_maps_as_the_whole_one(tmp_path, memory, read, monkeypatch):
-    monkeypatch.setattr(mcap_ranges, "_TAIL", 4096)
+    monkeypatch.setattr(mcap_index, "TAIL", 4096)
     path = with_pictures(tmp_path)
     memory.put_file(str(path), "/bags/seen.mcap")
     here = brought("memory://bags/seen.mcap", tmp_path / "here")
@@ -109,14 +112,13 @@ def test_other_files_come_whole_and_what_is_here_stays_where_it_is(tmp_path, mem
 
 def test_point_clouds_come_only_where_nothing_else_is_mapped(tmp_path, memory):
     for kinds in (["LaserScan", "PointCloud2"], ["PointCloud2"]):
-        writer = McapWriter(tmp_path / f"{len(kinds)}.mcap")
-        for number, kind in enumerate(kinds, start=1):
-            writer.add_channel(f"/{kind}", writer.add_schema(f"sensor_msgs/msg/{kind}", ""), {})
-            writer.flush()
-            writer.write(number, number, b"0" * 50)
-            writer.flush()
-        writer.close()
-        memory.put_file(str(tmp_path / f"{len(kinds)}.mcap"), f"/{len(kinds)}.mcap")
+        with memory.open(f"/{len(kinds)}.mcap", "wb") as file:
+            writer = Writer(file, chunk_size=1)
+            writer.start("ros2")
+            for number, kind in enumerate(kinds):
+                schema = writer.register_schema(f"sensor_msgs/msg/{kind}", "ros2msg", b"")
+                writer.add_message(writer.register_channel(f"/{kind}", "cdr", schema), number, b"0", number)
+            writer.finish()
 
     def topics(name, *asked):
         return [
