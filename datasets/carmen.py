@@ -30,22 +30,23 @@ FAR = 49.99
 _HALF_CIRCLES = (180, 181, 360, 361)
 """Numbers of beams of a SICK that sees half a circle."""
 
-LINES_AT_ONCE = 256
-"""Lines whose words are in memory at once; as Python's objects they take tenfold what their numbers do."""
-
 _END_OF_TIME_S = 2.0**31
 """ROS's seconds are 32 bits wide; a larger stamp is damage, and so is one before 1970."""
 
 
 class _Line(NamedTuple):
-    """A scan line before it becomes an array: its readings and two poses as text, and where it stands."""
+    """A scan line: its readings, then the laser's and the robot's pose, (beams + 6,), and where it stands."""
 
-    text: bytes
-    beams: int
+    values: Array
     stamp_ns: int
     number: int
     view: tuple[float, float] | None
     """First angle and increment, where the line states them."""
+
+    @property
+    def beams(self) -> int:
+        """Number of its readings."""
+        return len(self.values) - 6
 
 
 def is_carmen(content: bytes) -> bool:
@@ -131,8 +132,10 @@ def _parsed(kind: bytes, words: list[bytes], number: int) -> _Line:
     if not 0.0 <= float(words[-3]) < _END_OF_TIME_S:
         raise ValueError("an impossible stamp")
     stamp = stamp_from_text(words[-3].decode("ascii"))
-    text = b" ".join(words[first : first + n] + words[poses : poses + 6])
-    return _Line(text, n, stamp, number, view)
+    values = np.array([float(word) for word in words[first : first + n] + words[poses : poses + 6]])
+    if not (np.abs(values[-6:]) < FAR_M).all():
+        raise ValueError("an impossible pose")
+    return _Line(values, stamp, number, view)
 
 
 def _geometries(lines: list[_Line], notes: list[str]) -> list[Geometry | None]:
@@ -165,62 +168,25 @@ def _on_one_grid(
 ) -> tuple[Stamps, Array, LidarSpec]:
     """Stamps (n,), readings and the two poses (n, n_beams + 6) in the file's order, and the beams.
 
-    Rows that hold anything but numbers, or whose beams have no directions, are left out and counted in
-    `broken`.
+    Rows whose beams have no directions are left out and counted in `broken`.
     """
-    same: dict[Geometry, list[int]] = {}
-    for index, key in enumerate(keys):
-        if key is not None and key.usable():
-            same.setdefault(key, []).append(index)
-        elif key is not None:
-            broken.append(lines[index].number)
-    parts, found = [], []
-    for key, scans in same.items():
-        parts.append(_numbers([lines[index] for index in scans], broken))
-        found += [key] * len(parts[-1][1])
-    if not found:
+    known = [(line, key) for line, key in zip(lines, keys, strict=True) if key is not None]
+    broken.extend(line.number for line, key in known if not key.usable())
+    good = [(line, key) for line, key in known if key.usable()]
+    if not good:
         return np.empty(0, dtype=np.int64), np.empty((0, 6)), LidarSpec(1, 0.0, 0.0, 0.0, FAR)
-    kept = [line for _, part in parts for line in part]
-    order = np.argsort([line.number for line in kept], kind="stable")
-    stamps = np.array([line.stamp_ns for line in kept], dtype=np.int64)[order]
+    stamps = np.array([line.stamp_ns for line, _ in good], dtype=np.int64)
+    rows, found = [line.values for line, _ in good], [key for _, key in good]
     main = Counter(found).most_common(1)[0][0]
     lidar = LidarSpec(main.n, main.angle_min, main.increment, 0.0, FAR)
-    if len(parts) == 1:
-        return stamps, parts[0][0], lidar
-    rows = [row for values, _ in parts for row in values]
-    rows, found = [rows[index] for index in order], [found[index] for index in order]
+    if len(set(found)) == 1:
+        return stamps, np.array(rows), lidar
     readings, lidar = on_one_grid([row[:-6] for row in rows], found, lidar, notes)
     return stamps, np.hstack([readings, [row[-6:] for row in rows]]), lidar
 
 
-def _numbers(lines: list[_Line], broken: list[int]) -> tuple[Array, list[_Line]]:
-    """Ranges and the two poses, (n_scans, n_beams + 6), and the lines that hold nothing but such numbers."""
-    if not lines:
-        return np.empty((0, 6)), []
-    width = lines[0].beams + 6
-    values = np.empty((len(lines), width))
-    try:
-        for at in range(0, len(values), LINES_AT_ONCE):
-            part = [line.text for line in lines[at : at + LINES_AT_ONCE]]
-            words = np.array(b" ".join(part).split(), dtype="S32")
-            values[at : at + len(part)] = words.astype(np.float64).reshape(len(part), width)
-    except ValueError:
-        rows, good = [], []
-        for line in lines:
-            try:
-                rows.append([float(word) for word in line.text.split()])
-                good.append(line)
-            except ValueError:
-                broken.append(line.number)
-        values, lines = np.array(rows).reshape(-1, width), good
-    with np.errstate(invalid="ignore"):
-        finite = np.asarray((np.abs(values[:, -6:]) < FAR_M).all(axis=1))
-    broken.extend(line.number for line, kept in zip(lines, finite, strict=True) if not kept)
-    return values[finite], [line for line, kept in zip(lines, finite, strict=True) if kept]
-
-
 def _in_metres(values: Array, stamps: Stamps, notes: list[str]) -> Array:
-    """The readings and poses of `_numbers` in metres, where a program wrote millimetres."""
+    """The readings and poses of `_on_one_grid` in metres, where a program wrote millimetres."""
     scale = np.ones(values.shape[1])
     if ranges_in_millimetres(values[:: 1 + len(values) // 200, :-6], FAR):
         notes.append("the readings are longer than any lidar's; read as millimetres")

@@ -10,18 +10,12 @@ from turtlebag.datasets.bags import units
 from turtlebag.datasets.carmen import (
     _in_metres,
     _laser_pose,
-    _Line,
-    _numbers,
     _period,
     is_carmen,
     parse_carmen,
 )
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-
-
-def lines(texts):
-    return [_Line(text.encode(), 2, k, 10 + k, None) for k, text in enumerate(texts)]
 
 
 @pytest.mark.parametrize(
@@ -34,19 +28,15 @@ def test_a_log_is_told_by_a_line_of_a_known_kind_near_its_beginning(kind):
     assert not is_carmen(b"x" * 65535 + b"\n" + kind)
 
 
-def test_rows_with_words_or_impossible_poses_leave_every_column():
-    good, word, far, nan = "1 2 0 0 0 3 4 5", "1 x 0 0 0 3 4 5", "1 2 0 0 0 3 2e8 5", "1 2 0 nan 0 3 4 5"
-    broken = []
-    values, found = _numbers(lines([good, far, good, nan]), broken)
-    np.testing.assert_array_equal(values, [[1, 2, 0, 0, 0, 3, 4, 5]] * 2)
-    assert broken == [11, 13]
-    assert [(line.stamp_ns, line.number) for line in found] == [(0, 10), (2, 12)]
-    broken = []
-    values, found = _numbers(lines([word, good, "inf 2 0 0 0 0 0 0", far]), broken)
-    np.testing.assert_array_equal(values, [[1, 2, 0, 0, 0, 3, 4, 5], [np.inf, 2, 0, 0, 0, 0, 0, 0]])
-    assert broken == [10, 13]
-    assert [line.stamp_ns for line in found] == [1, 2]
-    assert _numbers([], [])[0].shape == (0, 6)
+@pytest.mark.parametrize("text", ["1 x 0 0 0 3 4 5", "1 2 0 0 0 3 2e8 5", "1 2 0 nan 0 3 4 5"])
+def test_lines_with_words_or_impossible_poses_are_damaged(text):
+    good, unreadable = (
+        b"FLASER 2 %b 1.5 host 1.0" % words for words in (b"inf 2 0 0 0 3 4 5", text.encode())
+    )
+    found = parse_carmen(b"\n".join([unreadable, good, unreadable]), Path("a"), T_base_lidar=None, notes=[])
+    assert found.ranges.tolist() == [[np.inf, 2.0]]
+    np.testing.assert_allclose(found.T_odom_base.xyt, SE2.from_xyt([3.0], [4.0], [5.0]).xyt)
+    assert "2 damaged lines skipped, the first is line 1" in found.notes
 
 
 def test_millimetres_become_metres_apart_for_readings_and_poses():
