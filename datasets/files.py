@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, overload
+from typing import Any, BinaryIO, NamedTuple
 
 import zstandard
 
@@ -101,7 +101,7 @@ def opened_plain(path: Path) -> BinaryIO:
 
 
 class FileBytes:
-    """The bytes of a file, as a `bytes` object would give them, read as they are asked for.
+    """The bytes of a file, sliced as a `bytes` object is, read as they are asked for.
 
     Unlike a memory map it turns a file that is cut meanwhile into an InputError, not into a crash.
     """
@@ -117,22 +117,9 @@ class FileBytes:
     def __len__(self) -> int:
         return self._signature.size
 
-    @overload
-    def __getitem__(self, place: int) -> int: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> bytes: ...
-
-    def __getitem__(self, place: int | slice) -> int | bytes:
-        if isinstance(place, slice):
-            start, stop, _ = place.indices(len(self))
-            return self._read(start, max(stop - start, 0))
-        if not -len(self) <= place < len(self):
-            raise IndexError(place)
-        return self._read(place % len(self), 1)[0]
-
-    def _read(self, start: int, size: int) -> bytes:
-        at = start - self._start
+    def __getitem__(self, place: slice) -> bytes:
+        start, stop, _ = place.indices(len(self))
+        size, at = max(stop - start, 0), start - self._start
         if at < 0 or at + size > len(self._window):
             self._start, at = start, 0
             self._window = os.pread(self._file.fileno(), max(size, min(_PIECE, len(self) - start)), start)

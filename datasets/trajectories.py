@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
@@ -66,30 +67,66 @@ def save_tum_3d(stamps_ns: Stamps, T: Array, path: Path) -> None:
             file.write(f"{stamp_text(stamp)} {place} {turn}\n")
 
 
+@dataclass(frozen=True)
+class NumberLines:
+    """The lines of a text file that are no comment and not blank, by their numbers, as words.
+
+    What is asked of them and is not there is an InputError that names the file and the line.
+    """
+
+    path: Path
+    lines: list[tuple[int, list[str]]]
+
+    @staticmethod
+    def of(path: Path, text: str) -> NumberLines:
+        """The words of a text, parted by white space."""
+        lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), start=1)]
+        return NumberLines(path, [(number, words) for number, words in lines if words and words[0][0] != "#"])
+
+    @staticmethod
+    def read(path: Path) -> NumberLines:
+        """Those of a trajectory file; InputError when it has none."""
+        if not path.is_file():
+            raise InputError(f"{path}: no such trajectory file")
+        try:
+            found = NumberLines.of(path, path.read_text(encoding="utf-8-sig"))
+        except UnicodeDecodeError:
+            raise InputError(f"{path}: not a text file") from None
+        if not found.lines:
+            raise InputError(f"{path}: no poses")
+        return found
+
+    def wrong(self, index: int, what: str) -> InputError:
+        """The error that says what is wrong with a line."""
+        return InputError(f"{self.path}, line {self.lines[index][0]}: {what}")
+
+    def numbers(self, count: int, expected: str, *, at_least: bool = False) -> Array:
+        """Its words as finite numbers, (n, count); with `at_least` more words may follow."""
+        rows = []
+        for index, (_, words) in enumerate(self.lines):
+            try:
+                row = [float(word) for word in (words[:count] if at_least else words)]
+            except ValueError:
+                raise self.wrong(index, f"not numbers; expected {expected}") from None
+            if len(row) != count or not all(abs(value) < 1e100 for value in row):
+                raise self.wrong(index, f"expected {expected}, all finite")
+            rows.append(row)
+        return np.array(rows).reshape(-1, count)
+
+    def stamps(self, column: int = 0) -> Stamps:
+        """A column of seconds, (n,) [ns]."""
+        stamps = []
+        for index, (_, words) in enumerate(self.lines):
+            try:
+                stamps.append(stamp_from_text(words[column]))
+            except (ValueError, OverflowError):
+                raise self.wrong(index, f"{words[column]} is no time in seconds") from None
+        return np.array(stamps, dtype=np.int64)
+
+
 def load_tum(path: Path) -> Trajectory:
     """Read a TUM file (comments and blank lines allowed); only the planar part is kept."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such trajectory file")
-    stamps: list[int] = []
-    rows: list[list[float]] = []
-    try:
-        lines = path.read_text().splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
-    for number, line in enumerate(lines, start=1):
-        parts = line.split()
-        if not parts or parts[0].startswith("#"):
-            continue
-        try:
-            stamp, row = stamp_from_text(parts[0]), [float(value) for value in parts[1:]]
-        except ValueError:
-            raise InputError(f"{path}, line {number}: not numbers") from None
-        if len(row) != 7 or not all(abs(value) < 1e100 for value in row):
-            raise InputError(f"{path}, line {number}: expected 't x y z qx qy qz qw', all finite")
-        stamps.append(stamp)
-        rows.append(row)
-    if not rows:
-        raise InputError(f"{path}: no poses")
-    x, y, _, qx, qy, qz, qw = np.array(rows).T
+    lines = NumberLines.read(path)
+    _, x, y, _, qx, qy, qz, qw = lines.numbers(8, "'t x y z qx qy qz qw'").T
     yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy**2 + qz**2))
-    return Trajectory(np.array(stamps, dtype=np.int64), SE2.from_xyt(x, y, yaw))
+    return Trajectory(lines.stamps(), SE2.from_xyt(x, y, yaw))

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.bags.units import FAR_M
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import lifted, planar, rotations
-from turtlebag.datasets.trajectories import stamp_from_text
+from turtlebag.datasets.trajectories import NumberLines
 from turtlebag.datasets.types import Stamps, Trajectory
 
 FORMATS = "a trajectory has 8 numbers a line (TUM), 12 (KITTI), or commas between them (EuRoC csv)"
-FARTHEST_M = 1e8
-Lines = list[tuple[int, list[str]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,73 +54,37 @@ def read_trajectory_3d(path: Path, times: Path | None, scans_ns: Stamps) -> Traj
     KITTI has no stamps: they are in `times` (seconds, one a line), or there is one pose for each of the
     recording's scans, `scans_ns`.
     """
-    lines, csv = _lines(path)
-    first = lines[0][1]
+    lines = NumberLines.read(path)
+    if csv := any("," in word for word in lines.lines[0][1]):
+        parted = [(number, " ".join(words).replace(",", " ").split()) for number, words in lines.lines]
+        lines = replace(lines, lines=[(number, words) for number, words in parted if words])
+    first = lines.lines[0][1] if lines.lines else []
     if len(first) == 12 and not csv:
-        stamps = _kitti_stamps(path, len(lines), times, scans_ns)
-        return Trajectory3D(stamps, _kitti(path, lines))
+        return Trajectory3D(_kitti_stamps(lines, times, scans_ns), _kitti(lines))
     if times is not None:
         raise InputError(f"{path}: has its own stamps; leave out --rival-times")
     if csv:
-        rows = _rows(path, lines, 8, "'t [ns], x, y, z, qw, qx, qy, qz, ...'", at_least=True)
-        stamps = np.array([_nanoseconds(path, number, words[0]) for number, words in lines], dtype=np.int64)
-        return Trajectory3D(stamps, _poses(path, lines, rows[:, 1:4], rows[:, [5, 6, 7, 4]]))
+        rows = lines.numbers(8, "'t [ns], x, y, z, qw, qx, qy, qz, ...'", at_least=True)
+        return Trajectory3D(_nanoseconds(lines), _poses(lines, rows[:, 1:4], rows[:, [5, 6, 7, 4]]))
     if len(first) != 8:
-        raise InputError(f"{path}, line {lines[0][0]}: {len(first)} words; {FORMATS}")
-    rows = _rows(path, lines, 8, "'t x y z qx qy qz qw'")
-    stamps = np.array([_seconds(path, number, words[0]) for number, words in lines], dtype=np.int64)
-    return Trajectory3D(stamps, _poses(path, lines, rows[:, 1:4], rows[:, 4:8]))
+        raise lines.wrong(0, f"{len(first)} words; {FORMATS}")
+    rows = lines.numbers(8, "'t x y z qx qy qz qw'")
+    return Trajectory3D(lines.stamps(), _poses(lines, rows[:, 1:4], rows[:, 4:8]))
 
 
-def _lines(path: Path) -> tuple[Lines, bool]:
-    """(number, words) of every line that is no comment and not blank, and whether commas part the words."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such trajectory file")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file; {FORMATS}") from None
-    told = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not told:
-        raise InputError(f"{path}: no poses")
-    csv = "," in told[0][1]
-    return [(number, line.replace(",", " ").split() if csv else line.split()) for number, line in told], csv
-
-
-def _rows(path: Path, lines: Lines, count: int, expected: str, *, at_least: bool = False) -> Array:
-    rows = []
-    for number, words in lines:
-        try:
-            row = [float(word) for word in (words[:count] if at_least else words)]
-        except ValueError:
-            raise InputError(f"{path}, line {number}: not numbers; expected {expected}") from None
-        if len(row) != count or not all(abs(value) < 1e100 for value in row):
-            raise InputError(f"{path}, line {number}: expected {expected}, all finite")
-        rows.append(row)
-    return np.array(rows)
-
-
-def _check_places(path: Path, lines: Lines, xyz: Array) -> None:
+def _check_places(lines: NumberLines, xyz: Array) -> None:
     """Beyond these, squares of distances are no numbers any more."""
-    far = np.flatnonzero(np.abs(xyz).max(axis=1) > FARTHEST_M)
+    far = np.flatnonzero(np.abs(xyz).max(axis=1) > FAR_M)
     if len(far):
-        raise InputError(
-            f"{path}, line {lines[int(far[0])][0]}: its position is farther than any place on Earth"
-        )
+        raise lines.wrong(int(far[0]), "its position is farther than any place on Earth")
 
 
-def _poses(path: Path, lines: Lines, xyz: Array, q: Array) -> Array:
-    _check_places(path, lines, xyz)
+def _poses(lines: NumberLines, xyz: Array, q: Array) -> Array:
+    _check_places(lines, xyz)
     norm = np.linalg.norm(q, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > 0.1)
     if len(bad):
-        raise InputError(
-            f"{path}, line {lines[int(bad[0])][0]}: its quaternion has length {norm[bad[0]]:.3g}, not 1"
-        )
+        raise lines.wrong(int(bad[0]), f"its quaternion has length {norm[bad[0]]:.3g}, not 1")
     T = np.zeros((len(xyz), 4, 4))
     T[:, :3, :3] = rotations(q / norm[:, None])
     T[:, :3, 3] = xyz
@@ -130,21 +92,22 @@ def _poses(path: Path, lines: Lines, xyz: Array, q: Array) -> Array:
     return T
 
 
-def _kitti(path: Path, lines: Lines) -> Array:
-    rows = _rows(path, lines, 12, "the 12 numbers of a 3 x 4 pose")
+def _kitti(lines: NumberLines) -> Array:
+    rows = lines.numbers(12, "the 12 numbers of a 3 x 4 pose")
     T = np.zeros((len(rows), 4, 4))
     T[:, :3] = rows.reshape(-1, 3, 4)
     T[:, 3, 3] = 1.0
-    _check_places(path, lines, T[:, :3, 3])
+    _check_places(lines, T[:, :3, 3])
     R = T[:, :3, :3]
     off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((off > 0.05) | (np.linalg.det(R) < 0.0))
     if len(bad):
-        raise InputError(f"{path}, line {lines[int(bad[0])][0]}: not a pose, its 3 x 3 part is no rotation")
+        raise lines.wrong(int(bad[0]), "not a pose, its 3 x 3 part is no rotation")
     return T
 
 
-def _kitti_stamps(path: Path, count: int, times: Path | None, scans_ns: Stamps) -> Stamps:
+def _kitti_stamps(poses: NumberLines, times: Path | None, scans_ns: Stamps) -> Stamps:
+    path, count = poses.path, len(poses.lines)
     if times is None:
         if count == len(scans_ns):
             return scans_ns
@@ -152,33 +115,25 @@ def _kitti_stamps(path: Path, count: int, times: Path | None, scans_ns: Stamps) 
             f"{path}: KITTI poses have no times, and {count} poses cannot be those of {len(scans_ns)} scans; "
             "give their times (seconds, one a line) by --rival-times"
         )
-    lines, _ = _lines(times)
-    if len(lines) != count:
-        raise InputError(f"{times}: {len(lines)} times for the {count} poses of {path}")
-    stamps = [_seconds(times, number, _only(times, number, words)) for number, words in lines]
+    lines = NumberLines.read(times)
+    if len(lines.lines) != count:
+        raise InputError(f"{times}: {len(lines.lines)} times for the {count} poses of {path}")
+    for index, (_, words) in enumerate(lines.lines):
+        if len(words) != 1:
+            raise lines.wrong(index, f"expected one time in seconds, got {len(words)} words")
+    return lines.stamps()
+
+
+def _nanoseconds(lines: NumberLines) -> Stamps:
+    stamps = []
+    for index, (_, (word, *_)) in enumerate(lines.lines):
+        try:
+            stamp = int(word) if word.lstrip("+-").isdigit() else float(word)
+        except ValueError:
+            stamp = math.nan
+        if stamp != stamp or stamp != int(stamp) or abs(stamp) >= 2**62:
+            raise lines.wrong(
+                index, f"{word} is no whole number of nanoseconds, which a EuRoC csv begins with"
+            )
+        stamps.append(int(stamp))
     return np.array(stamps, dtype=np.int64)
-
-
-def _only(path: Path, number: int, words: Sequence[str]) -> str:
-    if len(words) != 1:
-        raise InputError(f"{path}, line {number}: expected one time in seconds, got {len(words)} words")
-    return words[0]
-
-
-def _seconds(path: Path, number: int, word: str) -> int:
-    try:
-        return stamp_from_text(word)
-    except (ValueError, OverflowError):
-        raise InputError(f"{path}, line {number}: {word} is no time in seconds") from None
-
-
-def _nanoseconds(path: Path, number: int, word: str) -> int:
-    try:
-        stamp = int(word) if word.lstrip("+-").isdigit() else float(word)
-    except ValueError:
-        stamp = math.nan
-    if stamp != stamp or stamp != int(stamp) or abs(stamp) >= 2**62:
-        raise InputError(
-            f"{path}, line {number}: {word} is no whole number of nanoseconds, which a EuRoC csv begins with"
-        )
-    return int(stamp)

@@ -109,8 +109,7 @@ class Copier:
 
     def __init__(self, register: Callable[[Topic], Write]) -> None:
         self._register = register
-        self._by_topic: dict[Topic, Write | None] = {}
-        self._by_object: dict[int, tuple[Topic, Write | None]] = {}
+        self._writers: dict[Topic, Write | None] = {}
         self._skipped: dict[str, str] = {}
         self._damaged: Counter[str] = Counter()
         self.count = 0
@@ -118,10 +117,9 @@ class Copier:
     def write(self, message: Message) -> None:
         """Copy one message."""
         topic = message.topic
-        known = self._by_object.get(id(topic))
-        if known is None:  # files of a split bag have topics of their own that are equal
-            known = self._by_object[id(topic)] = topic, self._writer(topic)
-        write = known[1]
+        if topic not in self._writers:  # files of a split bag have topics of their own that are equal
+            self._writers[topic] = self._writer(topic)
+        write = self._writers[topic]
         if write is None:
             return
         try:
@@ -132,15 +130,13 @@ class Copier:
             self.count += 1
 
     def _writer(self, topic: Topic) -> Write | None:
-        if topic not in self._by_topic:
-            try:
-                self._by_topic[topic] = self._register(topic)
-            except Untranslatable as error:
-                self._by_topic[topic], self._skipped[topic.name] = None, str(error)
-            except TypesysError as error:
-                reason = f"{topic.name}: {topic.msgtype} ({' '.join(str(error).split())[:80]})"
-                self._by_topic[topic], self._skipped[topic.name] = None, reason
-        return self._by_topic[topic]
+        try:
+            return self._register(topic)
+        except Untranslatable as error:
+            self._skipped[topic.name] = str(error)
+        except TypesysError as error:
+            self._skipped[topic.name] = f"{topic.name}: {topic.msgtype} ({' '.join(str(error).split())[:80]})"
+        return None
 
     def notes(self) -> list[str]:
         """What was left out."""

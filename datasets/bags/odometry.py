@@ -34,7 +34,7 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
         if len(columns.stamps_ns):
             if streams.frames.lookup(columns.child, scan_frame) is None:
                 streams.follow_tf()
-            times = np.array(streams.odometry[chosen].times, dtype=np.int64)[columns.kept]
+            times = np.array([time for time, _ in streams.odometry[chosen]], dtype=np.int64)[columns.kept]
             if columns.others:
                 left = ", ".join(f"{count} of {link}" for link, count in columns.others.items())
                 notes.append(f"{chosen}: poses of several frames; {left} left out")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
@@ -20,17 +19,8 @@ def _current(msgtype: str) -> str:
     return TRANSFORMS[0] if msgtype == TRANSFORMS[1] else msgtype
 
 
-@dataclass(slots=True)
-class Raw:
-    """Undecoded messages of one topic with their log times."""
-
-    data: list[bytes] = field(default_factory=list)
-    times: list[int] = field(default_factory=list)
-
-    def add(self, log_time_ns: int, data: bytes) -> None:
-        """Append a message."""
-        self.data.append(data)
-        self.times.append(log_time_ns)
+Raw = list[tuple[int, bytes]]
+"""Undecoded messages of one topic with their log times [ns]."""
 
 
 class Streams:
@@ -50,20 +40,20 @@ class Streams:
         self.frames = FrameTree()
         self.seen: dict[str, str] = {}
         self.bad = 0
-        self._moving = Raw()
+        self._moving: Raw = []
         for topic, log_time, data in bag.messages(self._wanted):
             if topic.msgtype == SCAN:
                 self._scan(topic.name, log_time, data)
             elif topic.msgtype == ODOMETRY:
-                self.odometry.setdefault(topic.name, Raw()).add(log_time, data)
+                self.odometry.setdefault(topic.name, []).append((log_time, data))
             elif topic.msgtype == IMU:
-                self.imu.setdefault(topic.name, Raw()).add(log_time, data)
+                self.imu.setdefault(topic.name, []).append((log_time, data))
             elif topic.msgtype == CLOUD and note_cloud is not None:
                 note_cloud(topic.name, log_time, data)
             elif topic.name.endswith("tf_static"):
                 self._transforms(log_time, data, static=True)
             else:
-                self._moving.add(log_time, data)
+                self._moving.append((log_time, data))
 
     def _wanted(self, topic: Topic) -> bool:
         self.seen[topic.name] = topic.msgtype
@@ -100,15 +90,15 @@ class Streams:
 
     def follow_tf(self) -> None:
         """Decode /tf as well; needed only where topics and /tf_static do not say enough."""
-        for log_time, data in zip(self._moving.times, self._moving.data, strict=True):
+        for log_time, data in self._moving:
             self._transforms(log_time, data, static=False)
-        self._moving = Raw()
+        self._moving = []
 
     def read_odometry(self, name: str) -> OdometryColumns:
         """Decoded poses of an odometry topic."""
         raw = self.odometry[name]
-        columns = odometry(raw.data, self.bag.cursor)
-        self.bad += len(raw.data) - len(columns.kept) - sum(columns.others.values())
+        columns = odometry([data for _, data in raw], self.bag.cursor)
+        self.bad += len(raw) - len(columns.kept) - sum(columns.others.values())
         return columns
 
     def read_imu(self) -> ImuLog | None:
@@ -116,6 +106,6 @@ class Streams:
         name = "/imu" if "/imu" in self.imu else next(iter(self.imu), None)
         if name is None or (name != "/imu" and len(self.imu) > 1):
             return None
-        samples = imu(self.imu[name].data, self.bag.cursor)
-        self.bad += len(self.imu[name].data) - len(samples.stamps_ns)
+        samples = imu([data for _, data in self.imu[name]], self.bag.cursor)
+        self.bad += len(self.imu[name]) - len(samples.stamps_ns)
         return samples
