@@ -16,7 +16,6 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import ImuLog, Stamps
 
 MakeCursor = Callable[[bytes], Cursor]
-Bytes = NDArray[np.uint8]
 Decoded = TypeVar("Decoded")
 
 
@@ -37,7 +36,7 @@ class OdometryColumns:
 
 def odometry(messages: Sequence[bytes], cursor: MakeCursor) -> OdometryColumns:
     """Stamps (n,), planar poses (n, 3) and the child frame."""
-    table = _table(messages, cursor, decode.odometry)
+    table = _table(messages, cursor, decode.odometry, 7)
     if table is None:
         poses, kept = _one_by_one(messages, cursor, decode.odometry)
         links = Counter((pose.frame, pose.child) for pose in poses)
@@ -48,22 +47,17 @@ def odometry(messages: Sequence[bytes], cursor: MakeCursor) -> OdometryColumns:
         stamps = np.array([pose.stamp_ns for pose in poses], dtype=np.int64)
         xyt = np.array([pose[3:6] for pose in poses], dtype=np.float64).reshape(-1, 3)
         return OdometryColumns(stamps, xyt, main[1], kept, others)
-    rows, order = table
-    probe = cursor(messages[0])
-    probe.header()
-    child = probe.string()
-    probe.align(8)
-    x, y, _, qx, qy, qz, qw = _doubles(rows, probe.at, 7, order).T
+    stamps, child, doubles = table
+    x, y, _, qx, qy, qz, qw = doubles.T
     yaw = np.arctan2(2.0 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
     norm = qw**2 + qx**2 + qy**2 + qz**2
     yaw = np.where(np.isfinite(norm) & (norm > 0.0), yaw, np.nan)
-    kept = np.arange(len(rows))
-    return OdometryColumns(_stamps(rows, probe, order), np.stack([x, y, yaw], axis=-1), child, kept)
+    return OdometryColumns(stamps, np.stack([x, y, yaw], axis=-1), child, np.arange(len(stamps)))
 
 
 def imu(messages: Sequence[bytes], cursor: MakeCursor) -> ImuLog:
     """Stamps (n,), gyro and specific force (n, 3)."""
-    table = _table(messages, cursor, decode.imu)
+    table = _table(messages, cursor, decode.imu, 37)
     if table is None:
         samples, _ = _one_by_one(messages, cursor, decode.imu)
         return ImuLog(
@@ -71,45 +65,40 @@ def imu(messages: Sequence[bytes], cursor: MakeCursor) -> ImuLog:
             np.array([sample.angular for sample in samples], dtype=np.float64).reshape(-1, 3),
             np.array([sample.linear for sample in samples], dtype=np.float64).reshape(-1, 3),
         )
-    rows, order = table
-    probe = cursor(messages[0])
-    probe.header()
-    probe.align(8)
-    values = _doubles(rows, probe.at, 37, order)
-    return ImuLog(_stamps(rows, probe, order), values[:, 13:16].copy(), values[:, 25:28].copy())
+    stamps, _, doubles = table
+    return ImuLog(stamps, doubles[:, 13:16].copy(), doubles[:, 25:28].copy())
 
 
 def _table(
-    messages: Sequence[bytes], cursor: MakeCursor, read: Callable[[Cursor], object]
-) -> tuple[Bytes, str] | None:
-    """(n, size) bytes and the byte order; None when the layouts differ and each must be read alone."""
+    messages: Sequence[bytes], cursor: MakeCursor, read: Callable[[Cursor], object], count: int
+) -> tuple[Stamps, str, Array] | None:
+    """Stamps, the child frame and the `count` doubles after the names, (n, count); None when the layouts
+    differ and each message must be read alone."""
     first = messages[0]
     if any(len(message) != len(first) for message in messages):
         return None
+    child = ""
     try:
         read(cursor(first))
         names = cursor(first)
         names.header()
         if read is decode.odometry:
-            names.string()
+            child = names.string()
     except BadMessage:
         return None
     rows = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(len(messages), len(first))
     # What must be equal: the encapsulation, and the frame names that follow the stamp.
-    for start, end in ((0, names.origin), (names.stamp_at + 8, names.at)):
+    stamp, order = names.stamp_at, names.order
+    for start, end in ((0, names.origin), (stamp + 8, names.at)):
         if not (rows[:, start:end] == rows[0, start:end]).all():
             return None
-    return rows, names.order
-
-
-def _stamps(rows: Bytes, probe: Cursor, order: str) -> Stamps:
-    parts = rows[:, probe.stamp_at : probe.stamp_at + 8]
-    seconds = parts[:, :4].copy().view(order + "i4").ravel().astype(np.int64)
-    return seconds * 1_000_000_000 + parts[:, 4:].copy().view(order + "u4").ravel()
-
-
-def _doubles(rows: Bytes, start: int, count: int, order: str) -> Array:
-    return np.ascontiguousarray(rows[:, start : start + 8 * count]).view(order + "f8").astype(np.float64)
+    names.align(8)
+    seconds, nanoseconds = (
+        rows[:, at : at + 4].copy().view(f"{order}{kind}4").ravel().astype(np.int64)
+        for at, kind in ((stamp, "i"), (stamp + 4, "u"))
+    )
+    doubles = np.ascontiguousarray(rows[:, names.at : names.at + 8 * count]).view(order + "f8")
+    return seconds * 1_000_000_000 + nanoseconds, child, doubles.astype(np.float64)
 
 
 def _one_by_one(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Self
 
 from mcap.writer import Writer
 
@@ -50,14 +51,10 @@ class BagFolder:
         self._flushed_ns: int | None = None
         self._closed = False
 
-    def __enter__(self) -> BagFolder:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.leave(kind)
-
-    def leave(self, kind: type[BaseException] | None) -> None:
-        """End as a context manager does: close, or after an error leave the file as it is, unfinished."""
         if kind is None or issubclass(kind, KeyboardInterrupt):
             self.close()
         elif not self._closed:

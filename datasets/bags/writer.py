@@ -19,8 +19,8 @@ _WHEELS = ("wheel_left_joint", "wheel_right_joint")
 _GYRO_VARIANCE, _ACCELERATION_VARIANCE = 4e-8, 2.89e-4
 
 
-class BagWriter:
-    """Writes a bag; a context manager.
+class BagWriter(BagFolder):
+    """Writes a bag of our topics; a context manager.
 
     A chunk reaches the operating system after each second of recording at the latest, so a kill
     loses less than two. metadata.yaml and the file's index are written by `close` only; Ctrl-C
@@ -28,7 +28,7 @@ class BagWriter:
     """
 
     def __init__(self, folder: Path, *, custom: Mapping[str, str]) -> None:
-        self._bag = BagFolder(folder, custom=custom)
+        super().__init__(folder, custom=custom)
         self._channels: dict[str, int] = {}
         self._odom = cdr.odometry("odom", "base_footprint", _POSE_VARIANCES)
         self._truth = cdr.odometry("world", "base_footprint", _TRUTH_VARIANCES)
@@ -40,16 +40,6 @@ class BagWriter:
         self._amcl = cdr.pose_with_covariance("map")
         self._goal = cdr.pose_stamped("map")
         self._scans: dict[LidarSpec, cdr.Template] = {}
-
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._bag.leave(kind)
-
-    def close(self) -> None:
-        """Finish the file, then write metadata.yaml."""
-        self._bag.close()
 
     def static_transforms(
         self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
@@ -158,11 +148,9 @@ class BagWriter:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._register(topic)
-        self._bag.write(channel, log_time_ns, data)
+        self.write(channel, log_time_ns, data)
 
     def _register(self, topic: str) -> int:
         kind = TOPICS[topic]
         text, type_hash = definition(kind.msgtype)
-        return self._bag.add_topic(
-            topic, kind.msgtype, text, qos=metadata_text(kind.qos()), type_hash=type_hash
-        )
+        return self.add_topic(topic, kind.msgtype, text, qos=metadata_text(kind.qos()), type_hash=type_hash)
