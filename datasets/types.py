@@ -158,6 +158,11 @@ class Trajectory:
         if self.poses.shape != self.stamps_ns.shape:
             raise ValueError(f"{self.stamps_ns.shape} stamps for {self.poses.shape} poses")
 
+    @staticmethod
+    def untimed(poses: SE2) -> Trajectory:
+        """Poses (n,) that have no times, in order."""
+        return Trajectory(np.arange(len(poses), dtype=np.int64), poses)
+
     def __len__(self) -> int:
         return len(self.stamps_ns)
 

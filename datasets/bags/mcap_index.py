@@ -30,17 +30,20 @@ Record = TypeVar("Record")
 class _Body(ReadDataStream):
     """The body of a record; running over its end is Damage, where the library gives less than asked for."""
 
+    def __init__(self, body: bytes) -> None:
+        super().__init__(BytesIO(body))
+        self._size = len(body)
+
     def read(self, length: int) -> bytes:
-        data = self._stream.read(length)
-        self._count += len(data)
-        if len(data) != length:
+        if length > self._size - self._count:
             raise Damage("a record ends too early")
-        return data
+        self._count += length
+        return self._stream.read(length)
 
 
 def parsed(kind: Callable[[ReadDataStream], Record], body: bytes) -> Record:
     """The record that a body is, by the `read` of its kind; Damage when it is not exactly one."""
-    stream = _Body(BytesIO(body))
+    stream = _Body(body)
     try:
         record = kind(stream)
     except UnicodeDecodeError:

@@ -67,7 +67,7 @@ def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarS
 
 
 def on_one_grid(
-    scans: Sequence[Ranges], keys: Sequence[Geometry], lidar: LidarSpec, notes: list[str]
+    scans: Sequence[NDArray[np.floating]], keys: Sequence[Geometry], lidar: LidarSpec, notes: list[str]
 ) -> tuple[Ranges, LidarSpec]:
     """Scans of any geometries as (n_scans, n_beams), and the beams they are put on.
 

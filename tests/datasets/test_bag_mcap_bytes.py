@@ -132,6 +132,7 @@ INSIDE = message(7, 11, b"one")
         (chunk(INSIDE, more=b"\0"), "a record is longer than its content"),
         (record(6, bytes(27)), "a record ends too early"),
         (record(6, bytes(28)), "a record ends too early"),
+        (record(6, bytes(28), text("zstd"), b"\xff" * 8, b"x"), "a record ends too early"),
         (chunk(message(9, 1, b"")), "a message of an unknown topic"),
         (chunk(INSIDE[:-1]), "a message of an unknown topic, or too long"),
         (chunk(record(5, bytes(21)) + bytes(40)), "a message of an unknown topic"),
