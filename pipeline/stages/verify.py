@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import html
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,6 @@ from turtlebag.pipeline.stages.run_again import Remade, Run, places_of, remade
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
-from turtlebag.reports.metric_specs import GOAL_UNITS, PLANNER_UNITS, SPECS
-from turtlebag.reports.metric_specs_systems import SYSTEMS
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.page import render
@@ -45,8 +43,6 @@ from turtlebag.reports.stages import (
     read_manifest,
 )
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems
-
-PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
 
 
 @dataclass
@@ -110,7 +106,6 @@ def verify(report: Path, run: Run | None = None) -> Verification:
                 continue
             _check_stage(stage, group, metrics, places, again, found)
     rivals = _check_rivals(report, manifest, groups, reported, found) if manifest.rivals else None
-    _check_page(_file(report, "index.html"), found)
     _check_texts(_file(report, "index.html"), groups, rivals, found)
     return found
 
@@ -131,7 +126,7 @@ def _check_report_files(report: Path, manifest: Manifest, groups: list[Group], f
 def _check_stage(
     stage: Stage,
     group: Group,
-    metrics: dict[str, Any],
+    metrics: Mapping[str, Any],
     places: dict[str, str],
     again: Callable[[Stage], Remade | None],
     found: Verification,
@@ -168,7 +163,7 @@ def _check_stage(
 
 
 def _check_rivals(
-    report: Path, manifest: Manifest, groups: list[Group], reported: dict[str, Any], found: Verification
+    report: Path, manifest: Manifest, groups: list[Group], reported: Mapping[str, Any], found: Verification
 ) -> SystemComparison | None:
     """The rivals read and measured again; what the report should say of them, None when they cannot be."""
     group = groups[0]
@@ -201,7 +196,7 @@ def _keep(done: Iterable[Check], found: Verification) -> None:
             found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
 
 
-def _unknown(name: str, metrics: dict[str, Any], done: list[Check]) -> list[str]:
+def _unknown(name: str, metrics: Mapping[str, object], done: list[Check]) -> list[str]:
     """Keys of the numbers no check is about."""
     known = {check.key for check in done}
     return [
@@ -242,15 +237,6 @@ def _check_clearance(stage: Stage, name: str, found: Verification) -> None:
         )
 
 
-def _check_page(page: Path, found: Verification) -> None:
-    """The numbers printed on the page against what was computed."""
-    known = {check.key: check.found for check in found.checks if check.agrees}
-    for key, value, text in page_numbers(page):
-        unit = _unit(key)
-        if key in known and unit is not None and shown(known[key], unit) != text:
-            found.problems.append(f"{page.name}: shows {text} ({value}) for {key}, computed {known[key]}")
-
-
 def _check_texts(
     page: Path, groups: list[Group], rivals: SystemComparison | None, found: Verification
 ) -> None:
@@ -275,7 +261,7 @@ def _check_texts(
             found.problems.append(f"{page.name}: says {one[:200]}; computed {other[:200]}")
 
 
-def replaced(node: Any, values: dict[str, Any], key: str) -> Any:
+def replaced(node: Any, values: Mapping[str, Any], key: str) -> Any:
     """Nested metrics with the leaves whose dotted keys are in `values` taken from there."""
     if isinstance(node, dict):
         return {
@@ -288,28 +274,9 @@ def replaced(node: Any, values: dict[str, Any], key: str) -> Any:
 
 
 def words_of(page: str) -> list[str]:
-    """What a page says, line by line: tags, figures and white space left out."""
+    """What a page says, line by line: tags, figures and white space left out, numbers after their keys."""
     body = page.partition("<body>")[2].partition("<script>")[0]
     body = re.sub(r"<svg\b.*?</svg>", "", body, flags=re.DOTALL)
+    body = re.sub(r'<[^>]* data-key="([^"]*)"[^>]*>', r"\1: ", body)
     lines = (" ".join(line.split()) for line in html.unescape(re.sub(r"<[^>]*>", "", body)).splitlines())
     return [line for line in lines if line]
-
-
-def page_numbers(page: Path) -> Iterator[tuple[str, str, str]]:
-    """(key, stored value, shown text) of each number on a page."""
-    for match in PAGE_NUMBER.finditer(page.read_text()):
-        key, value, text = (html.unescape(part) for part in match.groups())
-        yield key, value, text
-
-
-def _unit(key: str) -> str | None:
-    path = key.partition(":")[2]
-    if path.startswith("systems."):
-        path = path.split(".", 2)[2]
-        return next((spec.unit for section in SYSTEMS for spec in section.specs if spec.path == path), None)
-    last = path.rpartition(".")[2]
-    if path.startswith("goals."):
-        return GOAL_UNITS.get(last)
-    if path.startswith("planners."):
-        return PLANNER_UNITS.get(last)
-    return next((spec.unit for specs in SPECS.values() for spec in specs if spec.path == path), None)

@@ -16,7 +16,7 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.recompute import same
 from turtlebag.pipeline.stages.report import make_report
-from turtlebag.pipeline.stages.verify import page_numbers, verify
+from turtlebag.pipeline.stages.verify import verify
 from turtlebag.reports.g2o import read_g2o, read_loops
 
 
@@ -45,6 +45,11 @@ def edit_metrics(folder, change):
     change(metrics)
     path.write_text(json.dumps(metrics, indent=2) + "\n")
     rehash(folder, "metrics.json")
+
+
+def page_numbers(page):
+    """(key, stored value, shown text) of each number on a page."""
+    return re.findall(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<', page.read_text())
 
 
 @pytest.mark.slow
