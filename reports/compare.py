@@ -13,10 +13,8 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OCCUPIED_FROM, OccupancyGrid
-from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.content import stage_metrics, verdict
-from turtlebag.reports.draw_localise import given_map, read_path
 from turtlebag.reports.figures import comparison
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.series import time_axis
@@ -142,7 +140,7 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
         album.add("maps", "Maps", caption, comparison.maps, a.map, b.map)
     path_a, path_b = driven(a), driven(b)
     if path_a is not None and path_b is not None:
-        grids = (a.map, a.true_map, given_map(a, Group("", (a,))))
+        grids = (a.map, a.true_map, Group("", (a,)).given_map(a))
         ground = next((grid for grid in grids if grid is not None), None)
         caption = f"{PATHS.get(a.kind, 'True paths')}: A wide, B thin on top of it."
         album.add("paths", "Paths", caption, comparison.paths, ground, path_a, path_b)
@@ -171,8 +169,7 @@ def driven(stage: Stage) -> Trajectory | None:
     if stage.kind in ("map", "localise"):
         return stage.trajectory
     if stage.kind == "plan":
-        poses = read_path(stage.folder / "path.csv") if stage.has("path.csv") else SE2.identity(0)
-        return Trajectory(np.arange(len(poses), dtype=np.int64), poses) if len(poses) else None
+        return stage.plan
     return stage.truth
 
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from turtlebag.reports.draw_localise import draw_localise, draw_plan, given_map
-from turtlebag.reports.drawing import draw_map, draw_record, draw_run
+from turtlebag.reports.drawing import draw_localise, draw_map, draw_plan, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.interactive_map import InteractiveMap, interactive_map
 from turtlebag.reports.metric_spec import Section
@@ -101,9 +100,9 @@ class Chapter:
         return slug(self.name)
 
     @property
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Mapping[str, Mapping[str, Any]]:
         """Its numbers by stage, those of other systems under `rivals`."""
-        numbers = {part.stage.label: dict(part.metrics) for part in self.parts}
+        numbers = {part.stage.label: part.metrics for part in self.parts}
         return numbers if self.systems is None else {**numbers, "rivals": self.systems.metrics}
 
 
@@ -113,7 +112,7 @@ def build_chapter(
     """Draw and describe every stage of a group; `measured` by label takes the place of its metrics."""
     chapter = Chapter(group.name, interactive_map_of(group))
     for stage in group.stages:
-        metrics = stage_metrics(stage) if measured is None else dict(measured[stage.label])
+        metrics = stage_metrics(stage) if measured is None else measured[stage.label]
         chapter.parts.append(
             Part(
                 stage,
@@ -143,7 +142,7 @@ def interactive_map_of(group: Group) -> InteractiveMap | None:
     """
     built, record, runs = group.first("map"), group.first("record"), group.of_kind("navigate")
     with_goals = next((run for run in runs if run.metrics.get("goals")), None)
-    given = given_map(with_goals, group) if with_goals else None
+    given = group.given_map(with_goals) if with_goals else None
     grids = [given, built.map if built else None]
     grids += [stage.true_map for stage in (record, *runs) if stage]
     grid = next((grid for grid in grids if grid is not None), None)
@@ -167,15 +166,12 @@ def draw(stage: Stage, group: Group, album: Album) -> list[Picture]:
     return album.pictures[before:]
 
 
-def stage_metrics(stage: Stage) -> dict[str, Any]:
+def stage_metrics(stage: Stage) -> Mapping[str, Any]:
     """A stage's metrics.json, or for a recording what is computed from its bag."""
-    metrics = dict(stage.metrics)
     if stage.kind == "record" and stage.truth is not None:
-        return {**metrics, **recording_metrics(stage.driven, stage.odometry, stage.truth)}
-    goals = metrics.get("goals")
-    if isinstance(goals, list) and goals:
-        metrics |= goal_counts(goals)
-    return metrics
+        return {**stage.metrics, **recording_metrics(stage.driven, stage.odometry, stage.truth)}
+    goals = stage.metrics.get("goals")
+    return {**stage.metrics, **goal_counts(goals)} if goals else stage.metrics
 
 
 def odometry_error(chapter: Chapter, record: Stage | None) -> float | None:

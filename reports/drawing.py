@@ -15,7 +15,6 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
-from turtlebag.reports.draw_localise import given_map
 from turtlebag.reports.figures import animation, maps, runs, series
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.cloud import cloud_from_above
@@ -25,7 +24,7 @@ from turtlebag.reports.g2o import read_g2o, read_loops
 from turtlebag.reports.metrics.navigation import collision_episodes
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import shown
-from turtlebag.reports.stages import Group, Stage
+from turtlebag.reports.stages import Group, Stage, read_path
 
 SNAPSHOTS = 6
 
@@ -253,7 +252,7 @@ def _add_run_animation(
 
 def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
     """The map a run that localised was given, else the true world."""
-    grid = given_map(stage, group) if stage.metrics.get("localisation_error_m") else None
+    grid = group.given_map(stage) if stage.metrics.get("localisation_error_m") else None
     return grid if grid is not None else stage.true_map
 
 
@@ -285,3 +284,53 @@ def goal_ends(log: RunLog) -> list[float]:
     changed = np.flatnonzero(np.diff(log.goal_index) != 0) + 1
     ended = [k for k in changed if log.goal_index[k - 1] >= 0]
     return [float(log.t_ns[k] - log.t_ns[0]) * 1e-9 for k in ended]
+
+
+def draw_localise(stage: Stage, group: Group, album: Album) -> None:
+    """Where the filter took the robot to be, and how far that was from the truth."""
+    estimate = stage.trajectory
+    if estimate is None:
+        return
+    grid = group.given_map(stage)
+    record = group.record_of(stage)
+    truth = record.truth if record is not None else None
+    if stage.metrics.get("status") == "rejected":
+        caption = "The robot had no initial pose. The odometry is shown in place of an estimate."
+        paths = {"truth": truth, "odometry": estimate}
+        album.add("path", "Not localised", caption, maps.trajectories, grid, paths)
+        return
+    caption = "The path estimated by the particle filter (AMCL)"
+    caption += (
+        "; the thin line should run along the middle of the wide pale one." if truth is not None else "."
+    )
+    paths = {"truth": truth, "amcl": estimate}
+    album.add("path", "Localised path", caption, maps.trajectories, grid, paths)
+    if truth is not None:
+        pairs, start = associate(estimate, truth), int(truth.stamps_ns[0])
+        caption = "Distance between the estimated and the true position at each scan. It should stay low."
+        album.add("error", "Localisation error", caption, series.localisation, pairs, start, [], [])
+
+
+def draw_plan(stage: Stage, group: Group, album: Album) -> None:
+    """The planned path on its map."""
+    grid = group.given_map(stage)
+    if compared := planner_paths(stage):
+        caption = (
+            "Each planner's path from the same start to the same goal. Look for paths that are shorter "
+            "but keep less clearance, and for those that take another route."
+        )
+        album.add("path", "Planners compared", caption, maps.plans, grid, compared)
+    elif stage.plan is not None:
+        paths = {"plan": stage.plan}
+        album.add("path", "Plan", "The planned path.", maps.trajectories, grid, paths)
+
+
+def planner_paths(stage: Stage) -> dict[str, SE2]:
+    """The way of each planner of a comparison that found one, in the order of the metrics."""
+    found = {}
+    for entry in stage.metrics.get("planners") or []:
+        name = entry.get("planner")
+        path = stage.folder / f"path-{name}.csv"
+        if path.is_file() and len(poses := read_path(path)):
+            found[str(name)] = poses
+    return found

@@ -114,12 +114,12 @@ def _line(stage: Stage, name: str, recording: Stage | None) -> Line:
     )
 
 
-def _cell(metrics: dict[str, Any], path: str, unit: str) -> tuple[str, str]:
+def _cell(metrics: Mapping[str, Any], path: str, unit: str) -> tuple[str, str]:
     value = lookup(metrics, path)
     return ("", "") if value is None else (shown(value, unit), repr(value))
 
 
-def _result(stage: Stage, metrics: dict[str, Any]) -> str:
+def _result(stage: Stage, metrics: Mapping[str, Any]) -> str:
     if stage.kind != "navigate":
         return f"{metrics['scans']} scans" if "scans" in metrics else ""
     goals = metrics.get("goals") or []

@@ -104,7 +104,7 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
-def lookup(metrics: Mapping[str, Any], path: str) -> Any:
+def lookup(metrics: Mapping[str, object], path: str) -> Any:
     """The value at a dotted path; None when a step is missing."""
     node: Any = metrics
     for part in path.split("."):
@@ -144,7 +144,7 @@ def other_values(stage: Stage, metrics: Mapping[str, Any]) -> list[tuple[str, st
     ]
 
 
-def leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(node: object, path: str = "") -> Iterator[tuple[str, Any]]:
     """Every leaf of nested mappings and lists as (dotted path, value)."""
     if isinstance(node, Mapping):
         for key, item in node.items():

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 
 from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.outputs import sha256_file
+from turtlebag.datasets.outputs import sha256_file, sha256_tree
 from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
 from turtlebag.datasets.types import Trajectory
 from turtlebag.datasets.yaml_files import checked, plain_values
@@ -107,7 +111,7 @@ class Stage:
         ]
 
     @cached_property
-    def config(self) -> dict[str, Any]:
+    def config(self) -> Mapping[str, Any]:
         """Its resolved configuration, empty when it left none."""
         path = self.folder / "config.yaml"
         data = plain_values(path.read_text()) if path.is_file() else {}
@@ -119,7 +123,7 @@ class Stage:
         return self.outputs.get("config.yaml")
 
     @cached_property
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Mapping[str, Any]:
         """Its metrics.json, empty for stages that write none."""
         path = self.folder / "metrics.json"
         if not path.is_file():
@@ -177,6 +181,12 @@ class Stage:
     def runlog(self) -> RunLog | None:
         """Its rows per control tick: runlog.csv."""
         return RunLog.load(self.folder / "runlog.csv") if self.has("runlog.csv") else None
+
+    @cached_property
+    def plan(self) -> Trajectory | None:
+        """The path that it planned: path.csv; None also where it found none."""
+        poses = read_path(self.folder / "path.csv") if self.has("path.csv") else SE2.identity(0)
+        return Trajectory.untimed(poses) if len(poses) else None
 
     @property
     def span(self) -> str:
@@ -244,6 +254,23 @@ class Group:
                 return None
         return None
 
+    def given_map(self, stage: Stage) -> OccupancyGrid | None:
+        """The very map a stage was given: its files while they have their hashes, else the same map among the
+        group's, for a report that was moved; None when it is nowhere to be found.
+        """
+        given = {name: entry for name, entry in stage.manifest.inputs.items() if name in ("map", "map_image")}
+        if "map" not in given:
+            return None
+        if all(entry.path.is_file() and sha256_tree(entry.path) == entry.sha256 for entry in given.values()):
+            with suppress(InputError):
+                return load_map(given["map"].path)
+        wanted = {digest for entry in given.values() for digest in entry.sha256.values()}
+        for other in self.stages:
+            for folder, grid in (("", other.map), ("truth/", other.true_map)):
+                if wanted <= {other.outputs.get(f"{folder}map.yaml"), other.outputs.get(f"{folder}map.pgm")}:
+                    return grid
+        return None
+
 
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON file that holds an object; InputError says what else it is. Whole numbers larger than any float
@@ -259,6 +286,21 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def _whole(digits: str) -> float:
     return int(digits) if len(digits) < 300 else float(digits)
+
+
+def read_path(path: Path) -> SE2:
+    """Poses (n,) of a `path.csv` with columns x, y, yaw, none where no path was found; InputError when it is
+    not one.
+    """
+    with path.open(newline="") as file:
+        reader = csv.DictReader(file)
+        try:
+            if not {"x", "y", "yaw"} <= set(reader.fieldnames or []):
+                raise KeyError
+            rows = [[float(row[name]) for name in ("x", "y", "yaw")] for row in reader]
+        except (KeyError, TypeError, ValueError):
+            raise InputError(f"{path}: not a path (expected columns x,y,yaw)") from None
+    return SE2.from_array(np.array(rows).reshape(-1, 3))
 
 
 def load_stage(folder: Path) -> Stage:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from turtlebag.datasets.rivals import OURS
 from turtlebag.datasets.trajectories import save_tum_3d
@@ -13,7 +13,7 @@ from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.metric_spec import MORE_IS_BETTER, MetricSpec
 from turtlebag.reports.metric_specs_systems import EVO, NOT_JUDGED, SYSTEMS
-from turtlebag.reports.metrics.systems import Known, Measured
+from turtlebag.reports.metrics.systems import Known, Measured, Numbers
 from turtlebag.reports.numbers import lookup, shown
 
 
@@ -36,11 +36,19 @@ class Row:
     cells: list[Cell]
 
 
+class SystemsMetrics(TypedDict):
+    """What systems were measured against, `truth` or ours, and the numbers of each."""
+
+    reference: str
+    map_reference: str
+    systems: Mapping[str, Numbers]
+
+
 @dataclass(frozen=True, eq=False)
 class SystemComparison:
     """What a page says of several systems: `metrics` are its numbers, keyed `systems.NAME.PATH`."""
 
-    metrics: dict[str, Any]
+    metrics: SystemsMetrics
     notes: list[tuple[str, str]]
     pictures: list[Picture] = field(default_factory=list)
 
@@ -52,7 +60,7 @@ class SystemComparison:
     @property
     def judged_by_truth(self) -> bool:
         """Whether a true path is known; if not, the others are measured against ours."""
-        return bool(self.metrics["reference"] == "truth")
+        return self.metrics["reference"] == "truth"
 
     @property
     def sections(self) -> list[tuple[str, str, list[Row]]]:
@@ -111,12 +119,12 @@ class SystemComparison:
         """Whether a number is measured against something better than ours."""
         if path.startswith("relations"):
             return True
-        known: str = self.metrics["map_reference" if path.startswith("map.") else "reference"]
-        return known == "truth"
+        if path.startswith("map."):
+            return self.metrics["map_reference"] == "truth"
+        return self.judged_by_truth
 
     def _told(self, path: str, unit: str) -> list[str]:
-        systems: Mapping[str, Any] = self.metrics["systems"]
-        values = {name: lookup(numbers, path) for name, numbers in systems.items()}
+        values = {name: lookup(numbers, path) for name, numbers in self.metrics["systems"].items()}
         return [f"{name} {shown(value, unit)}" for name, value in values.items() if value is not None]
 
 
@@ -124,7 +132,7 @@ def compare_systems(
     measured: Sequence[Measured], known: Known, album: Album, prefix: str
 ) -> SystemComparison:
     """The numbers, notes and pictures of measured systems, ours first."""
-    metrics = {
+    metrics: SystemsMetrics = {
         "reference": OURS if known.truth is None else "truth",
         "map_reference": OURS if known.true_map is None else "truth",
         "systems": {one.system.name: one.numbers for one in measured},

@@ -26,8 +26,8 @@ from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.planners.tasks.waypoints import load_waypoints
-from turtlebag.reports.draw_localise import read_path
 from turtlebag.reports.g2o import read_g2o, read_loops
+from turtlebag.reports.stages import read_path
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world

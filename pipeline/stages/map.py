@@ -60,7 +60,12 @@ def build_map(
         read = {**inputs.files(), **references.inputs, **source_files(made.manifest.get("parts", {}))}
         pace = {"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
         out.finish(
-            folder, "map", read, metrics=metrics, config=config_text(made.config), extra=pace | made.manifest
+            folder,
+            "map",
+            read,
+            metrics=metrics,
+            config=config_text(made.config),
+            extra={**pace, **made.manifest},
         )
     return 0 if tell_map(metrics, out.folder, slam_s) else 1
 

@@ -31,11 +31,11 @@ class Mapped:
     recording: Recording | Recording3D
     config: BaseModel
     result: SlamResult | Slam3dResult
-    record: dict[str, Any]
+    record: Mapping[str, object]
     write: Callable[[Path], None]
-    metrics: dict[str, Any] = field(default_factory=dict)
-    with_truth: dict[str, Any] = field(default_factory=dict)
-    manifest: dict[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, object] = field(default_factory=dict)
+    with_truth: Mapping[str, object] = field(default_factory=dict)
+    manifest: Mapping[str, Any] = field(default_factory=dict)
 
 
 SHOWN = (".yaml", ".pgm", ".ply", ".tum")
@@ -98,7 +98,7 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
     yield f"{out}: {', '.join(names)}"
 
 
-def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, Any]:
+def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> Mapping[str, object]:
     """Metrics that need no reference, the same of planar maps and of maps in 3D."""
     return {
         "scans": len(recording),

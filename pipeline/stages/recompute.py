@@ -66,7 +66,7 @@ def checks(name: str, reported: Mapping[str, Any], found: Mapping[str, Any]) -> 
             yield Check(f"{name}:{path}", told[path], value)
 
 
-def recomputed(stage: Stage, group: Group, places: Mapping[str, str]) -> dict[str, Any]:
+def recomputed(stage: Stage, group: Group, places: Mapping[str, str]) -> Mapping[str, object]:
     """What can be said of a stage from its data files alone, keyed as in its metrics.
 
     `places` are where the outputs named in the recorded commands lie now.
@@ -80,7 +80,7 @@ def recomputed(stage: Stage, group: Group, places: Mapping[str, str]) -> dict[st
     return _run(stage, places) if stage.kind == "navigate" else {}
 
 
-def _record(stage: Stage) -> dict[str, Any]:
+def _record(stage: Stage) -> Mapping[str, object]:
     if stage.truth is None:
         return {}
     topics = bag_info(stage.folder / "bag").topics
@@ -88,10 +88,10 @@ def _record(stage: Stage) -> dict[str, Any]:
     return {**recording_metrics(stage.driven, stage.odometry, stage.truth), "scans": scans}
 
 
-def _map(stage: Stage, group: Group) -> dict[str, Any]:
+def _map(stage: Stage, group: Group) -> Mapping[str, object]:
     if stage.trajectory is None:
         return {}
-    found: dict[str, Any] = {"scans": len(stage.trajectory), "log_s": stage.trajectory.duration()}
+    found: dict[str, object] = {"scans": len(stage.trajectory), "log_s": stage.trajectory.duration()}
     if stage.has("graph.g2o"):
         found["keyframes"] = len(read_g2o(stage.folder / "graph.g2o").T_map_keys)
     if stage.has("graph.json"):
@@ -103,17 +103,17 @@ def _map(stage: Stage, group: Group) -> dict[str, Any]:
     return {**found, **References(truth, true_grid, relations).errors(stage.trajectory, stage.map)}
 
 
-def _localise(stage: Stage, group: Group) -> dict[str, Any]:
+def _localise(stage: Stage, group: Group) -> Mapping[str, object]:
     if stage.trajectory is None:
         return {}
-    record = group.record_of(stage)
-    found: dict[str, Any] = {"scans": len(stage.trajectory)}
-    if "localisation_error_m" in stage.metrics and record is not None and record.truth is not None:
-        found |= localisation_errors(stage.trajectory, record.truth, bool(stage.metrics.get("success")))
-    return found
+    record, scans = group.record_of(stage), len(stage.trajectory)
+    if "localisation_error_m" not in stage.metrics or record is None or record.truth is None:
+        return {"scans": scans}
+    believed = bool(stage.metrics.get("success"))
+    return {"scans": scans, **localisation_errors(stage.trajectory, record.truth, believed)}
 
 
-def _run(stage: Stage, places: Mapping[str, str]) -> dict[str, Any]:
+def _run(stage: Stage, places: Mapping[str, str]) -> Mapping[str, object]:
     log = stage.runlog
     if log is None or len(log) == 0:
         return {}
@@ -124,13 +124,12 @@ def _run(stage: Stage, places: Mapping[str, str]) -> dict[str, Any]:
     estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
     ends = [goals.end(number) for number in range(len(goals.reported))]
     task = stage.fact("task") or ""
-    found: dict[str, Any] = dict(run_metrics(task, log, ends, truth, estimate, _floor(stage)))
-    found |= goal_counts(found["goals"])
-    known = [goals.known(number) for number in range(len(ends))]
-    found["goals"] = [
-        {key: goal[key] for key in keys} for goal, keys in zip(found["goals"], known, strict=True)
+    found = run_metrics(task, log, ends, truth, estimate, _floor(stage))
+    known = [
+        {key: value for key, value in goal.items() if key in goals.known(number)}
+        for number, goal in enumerate(found["goals"])
     ]
-    return found
+    return {**found, **goal_counts(found["goals"]), "goals": known}
 
 
 def robot_of(stage: Stage) -> RobotSpec | None:
@@ -153,7 +152,7 @@ class _Goals:
     """
 
     def __init__(self, stage: Stage, log: RunLog, places: Mapping[str, str]) -> None:
-        self.reported: list[dict[str, Any]] = stage.metrics.get("goals") or []
+        self.reported: Sequence[Mapping[str, Any]] = stage.metrics.get("goals") or []
         self._log, self._sent, self._asked = log, _goal_poses(stage), _asked(stage, places)
         states = zip(log.goal_index.tolist(), log.state, strict=True)
         self._reached = {number for number, state in states if state == "reached"}

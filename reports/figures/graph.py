@@ -36,7 +36,7 @@ def shown_edges(graph: PoseGraph, record: LoopRecord | None) -> tuple[NDArray[np
 
 def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord | None) -> Figure:
     """Keys in order as a thin line, loops as lines from blue (agrees) to orange (strained)."""
-    keys = Trajectory(np.arange(len(graph.T_map_keys), dtype=np.int64), graph.T_map_keys)
+    keys = Trajectory.untimed(graph.T_map_keys)
     figure, axes = faint_map(grid, [keys], bar=True)
     axes.plot(keys.poses.x, keys.poses.y, "-", color=MUTED, linewidth=0.8, zorder=2)
     axes.plot(keys.poses.x, keys.poses.y, ".", color=MUTED, markersize=3, zorder=3)

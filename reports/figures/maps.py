@@ -150,7 +150,7 @@ def trajectories(grid: OccupancyGrid | None, paths: Mapping[str, Trajectory | No
 
 def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     """Several ways over one faint map, each in a colour and a line of its own; start and goal marked."""
-    tracks = {name: Trajectory(np.arange(len(p), dtype=np.int64), p) for name, p in paths.items()}
+    tracks = {name: Trajectory.untimed(poses) for name, poses in paths.items()}
     figure, axes = faint_map(grid, list(tracks.values()))
     for number, (name, track) in enumerate(tracks.items()):
         colour = SERIES[number % len(SERIES)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from turtlebag.datasets.trajectories import stamp_text
 from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.datasets.types import Trajectory, seconds
 from turtlebag.reports.metrics import evo
-from turtlebag.reports.metrics.map import map_metrics, visible_surface
+from turtlebag.reports.metrics.map import MapMetrics, map_metrics, visible_surface
 from turtlebag.reports.metrics.placing import Placed, place, walls
-from turtlebag.reports.metrics.relations import MATCH_NS, nearest, relations_metrics
-from turtlebag.reports.metrics.trajectory import fit_rigid, rpe
+from turtlebag.reports.metrics.relations import MATCH_NS, RelationErrors, nearest, relations_metrics
+from turtlebag.reports.metrics.trajectory import Drift, fit_rigid, rpe
 
 WHOLE = 0.95
 """A system that covers less of the recording is compared over its own part too."""
@@ -38,6 +38,28 @@ class Known:
     relations: Relations | None = None
 
 
+class PathErrors(TypedDict, total=False):
+    """Errors of `paired` poses; angles in degrees where evo's are."""
+
+    paired: int
+    ate_m: evo.Statistics
+    ate_aligned_m: evo.Statistics
+    ate_aligned_3d_m: evo.Statistics
+    rpe: Drift
+    rpe_frame: evo.Relative
+    rpe_metre: evo.Relative
+
+
+class Numbers(PathErrors, RelationErrors, total=False):
+    """The numbers of one system; `ours_there` are ours over the part of the drive that it has."""
+
+    poses: int
+    coverage: float
+    ours_there: PathErrors | None
+    map: MapMetrics
+    map_moved: list[float]
+
+
 @dataclass(frozen=True, eq=False)
 class Measured:
     """One system with its numbers, and moved to where it fits the reference best.
@@ -47,7 +69,7 @@ class Measured:
     """
 
     system: System
-    numbers: dict[str, Any]
+    numbers: Numbers
     notes: list[str] = field(default_factory=list)
     paired: evo.Paired | None = None
     path: Trajectory | None = None
@@ -63,7 +85,7 @@ def measure(ours: System, rivals: Sequence[System], known: Known) -> list[Measur
     span = _span(ours)
     found: list[Measured] = []
     for system in (ours, *rivals):
-        measured = Measured(system, {}, list(system.notes))
+        measured = Measured(system, Numbers(), list(system.notes))
         if system.track is not None and reference is not None and span is not None:
             measured = _measure_track(system, ours, reference, span, known.relations, known.truth is not None)
         found.append(_measure_map(measured, found, known))
@@ -88,11 +110,11 @@ def _measure_track(
     track = system.track.in_time()
     paired = evo.pair(track, reference)
     _check_paired(system.name, track, reference, paired)
-    numbers: dict[str, Any] = {"poses": len(track), "coverage": coverage(track.stamps_ns, *span)}
+    numbers = Numbers(poses=len(track), coverage=coverage(track.stamps_ns, *span))
     if truth_known or system is not ours:
-        numbers |= path_errors(paired)
+        numbers.update(path_errors(paired))
     if relations is not None:
-        numbers |= relations_metrics(with_poses_at(system.track, relations), relations)
+        numbers.update(relations_metrics(with_poses_at(system.track, relations), relations))
     if system is not ours and truth_known and ours.track is not None and numbers["coverage"] < WHOLE:
         whole = ours.track.in_time()
         inside = whole[covered(whole.stamps_ns, track.stamps_ns)]
@@ -103,7 +125,7 @@ def _measure_track(
     return Measured(system, numbers, notes, paired, path)
 
 
-def path_errors(paired: evo.Paired) -> dict[str, Any]:
+def path_errors(paired: evo.Paired) -> PathErrors:
     """Errors of paired poses: ATE as it is, in the plane after a rigid fit, in space after one; RPE."""
     estimate, reference = paired.estimate.planar(), paired.reference.planar()
     T = fit_rigid(estimate.poses.xy, reference.poses.xy)
@@ -182,7 +204,7 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -
         for at in (replace(placed, T_ref_map=SE2.identity()), placed)
     ]
     placed, found = max(scored, key=lambda one: one[1]["iou_one_cell"])
-    numbers = {**measured.numbers, "map": found, "map_moved": placed.T_ref_map.xyt.tolist()}
+    numbers: Numbers = {**measured.numbers, "map": found, "map_moved": placed.T_ref_map.xyt.tolist()}
     notes = measured.notes + (_map_notes(placed, grid) if measured is not ours else [])
     return replace(measured, numbers=numbers, notes=notes, grid=placed.moved(grid))
 

@@ -16,8 +16,8 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.pipeline.stages.verify import verify
 from turtlebag.reports.content import interactive_map_of
-from turtlebag.reports.draw_localise import given_map, planner_paths, read_path
-from turtlebag.reports.stages import Group, load_stage
+from turtlebag.reports.drawing import planner_paths
+from turtlebag.reports.stages import Group, load_stage, read_path
 
 
 @pytest.mark.slow
@@ -106,16 +106,16 @@ def test_a_stage_is_drawn_on_the_very_map_it_was_given_or_on_none(tmp_path):
     run = load_stage(fake_run(tmp_path / "run", given))
     assert run.hashes("map_image") == {"map.pgm": sha256_file(given / "map.pgm")}
     group = Group("room", (load_stage(record), load_stage(first), load_stage(given), run))
-    np.testing.assert_array_equal(given_map(run, group).cells, changed)
+    np.testing.assert_array_equal(group.given_map(run).cells, changed)
     # The file is another map by now: the same one is found by its hashes, where it was moved to.
     given.rename(tmp_path / "moved")
     shutil.copytree(first, given)
     elsewhere = Group("room", (load_stage(first), load_stage(tmp_path / "moved"), run))
-    np.testing.assert_array_equal(given_map(run, elsewhere).cells, changed)
-    assert given_map(run, Group("room", (load_stage(first), run))) is None
+    np.testing.assert_array_equal(elsewhere.given_map(run).cells, changed)
+    assert Group("room", (load_stage(first), run)).given_map(run) is None
     on_truth = load_stage(fake_run(tmp_path / "cheat", record / "truth"))
     record.rename(tmp_path / "far")
-    seen = given_map(on_truth, Group("room", (load_stage(tmp_path / "far"), on_truth)))
+    seen = Group("room", (load_stage(tmp_path / "far"), on_truth)).given_map(on_truth)
     np.testing.assert_array_equal(seen.cells, load_map(tmp_path / "far/truth/map.yaml").cells)
 
 

@@ -58,7 +58,7 @@ class Output:
     @property
     def metrics(self) -> dict[str, Any]:
         """Its metrics.json, in SI units and radians; empty where there is none."""
-        return {} if self.stage is None else self.stage.metrics
+        return {} if self.stage is None else dict(self.stage.metrics)
 
     @property
     def verdict(self) -> str:

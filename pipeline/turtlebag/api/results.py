@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -16,10 +16,9 @@ from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.reports.content import stage_metrics, verdict
-from turtlebag.reports.draw_localise import read_path
 from turtlebag.reports.numbers import leaves, shown
-from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest
-from turtlebag.reports.system_comparison import SystemComparison
+from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest, read_path
+from turtlebag.reports.system_comparison import SystemComparison, SystemsMetrics
 
 GOAL_COLUMNS = ("x", "y", "yaw", "status", "time_s", "error_m", "error_rad")
 
@@ -203,7 +202,7 @@ class Comparison(_Page):
     @cached_property
     def _mood_and_verdict(self) -> tuple[str, str]:
         if "systems" in self.metrics:
-            return "neutral", SystemComparison(self.metrics, []).sentence
+            return "neutral", SystemComparison(cast(SystemsMetrics, self.metrics), []).sentence
         differ = sum(a != b for a, b in self.metrics.values())
         return "neutral", f"{differ} of {len(self.metrics)} numbers differ."
 
