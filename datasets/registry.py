@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,8 +75,8 @@ def _radish(
     return Dataset(name, title, files, _CC_BY, citation, _SOURCE, *lidar, scans)
 
 
-def _logs() -> Iterator[Dataset]:
-    yield _radish(
+_LOGS = (
+    _radish(
         "intel",
         "Intel Research Lab, Seattle",
         "Dirk Haehnel",
@@ -86,8 +86,8 @@ def _logs() -> Iterator[Dataset]:
         ),
         (0.0, 81.83, 180),
         13631,
-    )
-    yield _radish(
+    ),
+    _radish(
         "fr079",
         "Freiburg, building 079",
         "Cyrill Stachniss",
@@ -97,8 +97,8 @@ def _logs() -> Iterator[Dataset]:
         ),
         (-0.04, 81.91, 360),
         4934,
-    )
-    yield _radish(
+    ),
+    _radish(
         "mit-csail",
         "MIT CSAIL building",
         "Cyrill Stachniss",
@@ -108,25 +108,19 @@ def _logs() -> Iterator[Dataset]:
         ),
         (0.0, 81.91, 361),
         1988,
-    )
-
-
-DATASETS: Mapping[str, Dataset] = {dataset.name: dataset for dataset in _logs()}
-
-
-def find_dataset(name: str) -> Dataset:
-    """The dataset of that name; InputError lists the known ones."""
-    if name not in DATASETS:
-        raise InputError(f"no dataset named {name!r}; known: {', '.join(DATASETS)}")
-    return DATASETS[name]
+    ),
+)
+DATASETS: Mapping[str, Dataset] = {dataset.name: dataset for dataset in _LOGS}
 
 
 def fetch(name: str) -> list[Path]:
     """Verified local files of a dataset: from the mirror folder, the cache, or downloaded into it.
 
-    InputError when a file is damaged or cannot be had.
+    InputError when there is no such dataset, or a file is damaged or cannot be had.
     """
-    return [_in_mirror(file) or _downloaded(file) for file in find_dataset(name).files]
+    if name not in DATASETS:
+        raise InputError(f"no dataset named {name!r}; known: {', '.join(DATASETS)}")
+    return [_in_mirror(file) or _downloaded(file) for file in DATASETS[name].files]
 
 
 def _in_mirror(file: RemoteFile) -> Path | None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
-from turtlebag.datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
+from turtlebag.datasets.bags.odometry import find_odometry, in_file_order, odometry_at, sensor_matrix
 from turtlebag.datasets.bags.source import Bag, open_bag
 from turtlebag.datasets.bags.streams import Streams
 from turtlebag.datasets.errors import InputError
@@ -151,10 +151,7 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
         )
     (frame,) = index.frames
     notes, log_times = list(bag.notes), np.array(index.log_times, dtype=np.int64)
-    stamps = running(np.array(index.stamps, dtype=np.int64), log_times, chosen, notes)
-    backwards = int(np.count_nonzero(np.diff(stamps) < 0))
-    if backwards:
-        notes.append(f"{chosen}: stamps go back {backwards} times; file order kept")
+    stamps = in_file_order(index.stamps, log_times, chosen, notes)
     odometry = find_odometry(streams, frame, notes)
     known = len(notes)
     T_base_lidar = sensor_matrix(path, streams.frames, odometry.base, frame, notes)

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from turtlebag.datasets.bags.decode import RawScan
-from turtlebag.datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
+from turtlebag.datasets.bags.odometry import find_odometry, in_file_order, odometry_at, sensor_matrix
 from turtlebag.datasets.bags.scans import TURNED_OVER, assemble, turned_over
 from turtlebag.datasets.bags.source import Bag
 from turtlebag.datasets.bags.streams import Streams
@@ -39,13 +39,10 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
         ranges, lidar = assemble(scans, notes)
     except ValueError as error:
         raise InputError(f"{bag.path}: {topic}: {error}; there is nothing to map") from None
-    stamps = running(np.array([scan.stamp_ns for scan in scans], dtype=np.int64), log_times, topic, notes)
+    stamps = in_file_order([scan.stamp_ns for scan in scans], log_times, topic, notes)
     if stands_still(stamps):
         what = f"{topic}: all scans have the same stamp and the same recording time"
         raise InputError(f"{bag.path}: {what}; without times no map can be made")
-    backwards = int(np.count_nonzero(np.diff(stamps) < 0))
-    if backwards:
-        notes.append(f"{topic}: stamps go back {backwards} times; file order kept")
     odometry = find_odometry(streams, scans[0].frame, notes)
     if T_base_lidar is None:
         T_base_lidar, over = _planar(

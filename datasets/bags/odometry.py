@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -93,6 +94,14 @@ def running(stamps: Stamps, log_times: Stamps, name: str, notes: list[str]) -> S
         return stamps
     notes.append(f"{name}: every stamp is {stamps[0] * 1e-9:.6f}; the recording times are used instead")
     return log_times
+
+
+def in_file_order(stamps: Sequence[int], log_times: Stamps, name: str, notes: list[str]) -> Stamps:
+    """The stamps of scans, `running`; a note says how often they go back."""
+    found = running(np.array(stamps, dtype=np.int64), log_times, name, notes)
+    if backwards := int(np.count_nonzero(np.diff(found) < 0)):
+        notes.append(f"{name}: stamps go back {backwards} times; file order kept")
+    return found
 
 
 def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Trajectory:

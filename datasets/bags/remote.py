@@ -14,11 +14,9 @@ from turtlebag.datasets.bags.mcap_ranges import partial_mcap
 from turtlebag.datasets.bags.messages import Topic
 from turtlebag.datasets.bags.scan import Damage
 from turtlebag.datasets.bags.source import SUFFIXES, TRUTH_PREFIX
-from turtlebag.datasets.bags.topics import CLOUD, IMU, METADATA_FILE, ODOMETRY, SCAN, TRANSFORMS
+from turtlebag.datasets.bags.topics import CLOUD, MAPPED, METADATA_FILE, SCAN
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.urls import filesystem, is_local, reason_of
-
-_NEEDED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 
 
 def brought(url: str, folder: Path, topics: Collection[str] = ()) -> Path:
@@ -70,6 +68,6 @@ def _asked_for(channels: Mapping[int, Topic], topics: Collection[str]) -> list[i
     def needed(channel: Topic) -> bool:
         if channel.msgtype == CLOUD:
             return not planar or channel.name in topics
-        return channel.msgtype in _NEEDED and not channel.name.startswith(TRUTH_PREFIX)
+        return channel.msgtype in MAPPED and not channel.name.startswith(TRUTH_PREFIX)
 
     return [number for number, channel in channels.items() if needed(channel)]

@@ -9,10 +9,8 @@ from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
 from turtlebag.datasets.bags.frames import FrameTree
 from turtlebag.datasets.bags.messages import Topic
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
-from turtlebag.datasets.bags.topics import CLOUD, IMU, ODOMETRY, SCAN, TRANSFORMS, typestore
+from turtlebag.datasets.bags.topics import CLOUD, IMU, MAPPED, ODOMETRY, SCAN, TRANSFORMS, typestore
 from turtlebag.datasets.types import ImuLog
-
-_WANTED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 
 
 def _current(msgtype: str) -> str:
@@ -32,7 +30,7 @@ class Streams:
 
     def __init__(self, bag: Bag, *, note_cloud: Callable[[str, int, bytes], None] | None = None) -> None:
         self.bag = bag
-        self._types = (*_WANTED, CLOUD) if note_cloud is not None else _WANTED
+        self._types = (*MAPPED, CLOUD) if note_cloud is not None else MAPPED
         self.scans: dict[str, list[decode.RawScan]] = {}
         self.scan_times: dict[str, list[int]] = {}
         self.odometry: dict[str, Raw] = {}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, S
-from turtlebag.datasets.bags import doctor, impossible
+from turtlebag.datasets.bags import doctor
 from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.messages import Topic, full_type
 from turtlebag.datasets.bags.survey import ScanSurvey, Survey, TopicSurvey
@@ -211,7 +211,7 @@ def test_clocks_that_stand_and_frames_that_are_mixed():
         links=[("odom", "base", AT, False), ("base", "laser", AT, True)],
         link_stamps={("odom", "base"): [7 * S, 7 * S], ("base", "laser"): [7, 7]},
     )  # fmt: skip
-    assert [w for _, _, w in told(impossible.still_clocks(found))] == [
+    assert [w for _, _, w in told(doctor._still_clocks(found))] == [
         "/scan: all 2 stamps are 5 s",
         "/tf: odom -> base: all 2 stamps are 7 s",
     ]
@@ -219,7 +219,7 @@ def test_clocks_that_stand_and_frames_that_are_mixed():
         topic("/scan", SCAN, frames=["a", "b", "b"]),
         topic("/odom", ODOMETRY, children=["c", "d", "d"], frames=["x"]),
     )
-    assert [w for _, _, w in told(impossible.mixed_frames(mixed))] == [
+    assert [w for _, _, w in told(doctor._mixed_frames(mixed))] == [
         "/scan: messages of 2 frames: 'b' (2), 'a' (1)",
         "/odom: messages of 2 frames: 'd' (2), 'c' (1)",
     ]
@@ -230,7 +230,7 @@ def test_places_beyond_the_earth_and_lasers_beyond_their_robot():
         topic("/odom", ODOMETRY, places=[(0.0, 2e8), (1.0, 1.0), (math.nan, 0.0)]),
         links=[("base", "far", (2e8, 0.0, 0.0), True)],
     )
-    assert [w for _, _, w in told(impossible.places(found))] == [
+    assert [w for _, _, w in told(doctor._places(found))] == [
         "/tf or /tf_static: base -> far is farther than any place on Earth",
         "/odom: 2 poses are farther than any place on Earth",
     ]
@@ -238,7 +238,7 @@ def test_places_beyond_the_earth_and_lasers_beyond_their_robot():
         scan = topic("/scan", SCAN, frames=["laser"])
         found = survey(scan, links=[("base_link", "laser", (arm, 0.0, 0.0), True)])
         what = [f"/scan: its frame 'laser' lies {arm:.4g} m from 'base_link'"] * named
-        assert [w for _, _, w in told(impossible.units(found))] == what
+        assert [w for _, _, w in told(doctor._units(found))] == what
 
 
 def test_readings_and_drives_in_millimetres_are_named():
@@ -253,7 +253,7 @@ def test_readings_and_drives_in_millimetres_are_named():
     )
     for k in range(20):
         found.frames.add(_moved(k * S, 300.0 * k), static=False)
-    assert [w.split(": the")[0] for _, _, w in told(impossible.units(found))] == [
+    assert [w.split(": the")[0] for _, _, w in told(doctor._units(found))] == [
         "/scan", "/odom", "/still", "/tf: odom -> base",
     ]  # fmt: skip
 
