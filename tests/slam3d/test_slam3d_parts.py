@@ -128,12 +128,13 @@ def test_along_a_corridor_nothing_is_claimed_to_be_known():
 
 
 def test_the_two_faces_of_a_thin_wall_are_told_apart():
-    u, v = RNG.uniform(size=(2, 4000))
+    rng = np.random.default_rng(1)
+    u, v = rng.uniform(size=(2, 4000))
     floor = np.stack([4 * u - 2, 4 * v - 2, 0 * u - 0.4], axis=-1)
     end = np.stack([4 * u - 2, 0 * u + 2, 2 * v - 0.4], axis=-1)
     faces = [np.stack([0 * u + x, 4 * u - 2, 2 * v - 0.4], axis=-1) for x in (0.0, 0.1)]
     points = np.vstack([floor, end, *faces])
-    points += 0.005 * RNG.normal(size=points.shape)
+    points += 0.005 * rng.normal(size=points.shape)
     left, right = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
     views = np.vstack(
         [np.where(points[:8000, :1] < 0.05, left, right), np.tile(left, (4000, 1)), np.tile(right, (4000, 1))]
