@@ -47,7 +47,7 @@ class BagFolder:
         self._topics: list[tuple[str, str, str, str]] = []
         self._counts: list[int] = []
         self._schemas: dict[tuple[str, str, str], int] = {}
-        self._span_ns: tuple[int, int] | None = None
+        self._first_ns, self._last_ns = 1 << 64, 0
         self._flushed_ns: int | None = None
         self._closed = False
 
@@ -88,8 +88,10 @@ class BagFolder:
         """Append one message; ValueError for a time that the format cannot hold."""
         if not 0 <= log_time_ns < 1 << 64:
             raise ValueError(f"{log_time_ns} ns is no time of a message")
-        first, last = self._span_ns or (log_time_ns, log_time_ns)
-        self._span_ns = min(first, log_time_ns), max(last, log_time_ns)
+        if log_time_ns < self._first_ns:
+            self._first_ns = log_time_ns
+        if log_time_ns > self._last_ns:
+            self._last_ns = log_time_ns
         if self._flushed_ns is None:
             self._flushed_ns = log_time_ns
         self._mcap.add_message(channel, log_time_ns, data, log_time_ns, self._counts[channel - 1])
@@ -104,7 +106,8 @@ class BagFolder:
             return
         self._closed = True
         self._mcap.flush()
-        information = bag_metadata(self._topics, self._counts, self._span_ns or (0, 0), self._custom)
+        span_ns = (self._first_ns, self._last_ns) if any(self._counts) else (0, 0)
+        information = bag_metadata(self._topics, self._counts, span_ns, self._custom)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
         self._mcap.finish()
         self._file.close()

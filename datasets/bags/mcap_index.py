@@ -11,17 +11,18 @@ from typing import TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel, ChunkIndex, Footer, MetadataIndex, Schema, Statistics
-from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from turtlebag.datasets.bags.messages import Topic, full_type
 from turtlebag.datasets.bags.scan import Damage
 
 Read = Callable[[int, int], bytes]
 """Bytes of a file from the first offset up to the second."""
+MAGIC = b"\x89MCAP0\r\n"
+"""First and last bytes of a file; the library has it too, in modules that are slow to import."""
 HEAD = struct.Struct("<BQ")
 """What a record begins with: its kind, and the size of its body."""
+FOOTER_SIZE = HEAD.size + 20
 TAIL = 256 << 10
 """The index of most files is within the last bytes."""
 Record = TypeVar("Record")
