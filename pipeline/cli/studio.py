@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from socket import socket
 
     from turtlebag.pipeline.studio.access import Access
-    from turtlebag.pipeline.studio.bag_setup import BagSetup
-    from turtlebag.pipeline.studio.setup import StudioSetup
+    from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup
 
 EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
 WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
@@ -72,8 +71,7 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.record import RecordOptions
     from turtlebag.pipeline.stages.settings import load_config
     from turtlebag.pipeline.studio.access import Access, is_loopback, listen, new_token
-    from turtlebag.pipeline.studio.bag_setup import BagSetup
-    from turtlebag.pipeline.studio.setup import StudioSetup
+    from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup
     from turtlebag.pipeline.terminal.messages import log
 
     setup: StudioSetup | BagSetup

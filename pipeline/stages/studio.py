@@ -9,17 +9,17 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.takeover import Script
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.record import deferred_interrupt
-from turtlebag.pipeline.studio.bag_setup import BagSetup
-from turtlebag.pipeline.studio.inputs import Action, Drive, End, Release
+from turtlebag.pipeline.studio.inputs import Drive, Input, Plain
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
-from turtlebag.pipeline.studio.setup import StudioSetup, setup_of
+from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup, setup_of
+from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 
 
@@ -30,18 +30,17 @@ def studio_output(
     *,
     say: Callable[[str], None] = say,
     session_file: Path | None = None,
-) -> Iterator[Session | Playback]:
+) -> Iterator[Sitting]:
     """A session whose files grow in OUT.partial and are put in place when the block is left.
 
     A session that did not end within the block ends there. `say` takes the lines of the event log,
     `session_file` is the one that is driven again. InputError, with nothing written, for unknown names and
     unreadable maps.
     """
-    timer = Stopwatch()
     files = {**setup.files, **({} if session_file is None else {"session": session_file})}
     by_hand = session_file is None  # only what a person did cannot be done again
     with out.staged(files.values(), save_bag=by_hand) as folder:
-        session: Session | Playback
+        session: Sitting
         if isinstance(setup, BagSetup):
             with Playback(setup, folder, say) as session:
                 yield session
@@ -52,21 +51,16 @@ def studio_output(
             save_map(setup.arena.rasterize(setup.spec.lidar_height), folder / "truth")
             config = config_text(setup.config)
             about = {"world": setup.arena.name, "robot": setup.spec.name}
-        write_json(folder / "metrics.json", session.metrics())
-        (folder / "config.yaml").write_text(config)
-        wall_s, simulated_s = timer.seconds(), session.stamp_ns * 1e-9
-        write_manifest(
+        simulated_s = session.stamp_ns * 1e-9
+        pace = {"realtime_factor": round(simulated_s / max(out.wall_s, 1e-9), 2)}
+        out.finish(
             folder,
-            stage="studio",
-            command=out.command,
-            inputs=files,
+            "studio",
+            files,
+            metrics=session.metrics(),
+            config=config,
             seed=None if isinstance(setup, BagSetup) else setup.seed,
-            wall_s=wall_s,
-            extra={
-                **about,
-                "out": str(out.folder),
-                "realtime_factor": round(simulated_s / max(wall_s, 1e-9), 2),
-            },
+            extra={**about, "out": str(out.folder), **pace},
         )
     log.info(f"{simulated_s:.1f} simulated seconds -> {out.folder}")
 
@@ -93,9 +87,9 @@ def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say)
             asked = script.asked(now)
             if session.ended:
                 break
-            session.apply(Release() if asked is None else Drive(v=asked.v, w=asked.w))
+            session.apply(Plain(do="release") if asked is None else Drive(v=asked.v, w=asked.w))
             if interrupted or (not actions and (now >= recorded.until_ns or session.idle)):
-                session.apply(End())
+                session.apply(Plain(do="end"))
             session.tick()
             clock(now, "")
     if interrupted:
@@ -103,7 +97,7 @@ def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say)
     return 128 + interrupted[0] if interrupted else 0
 
 
-def _apply(session: Session | Playback, action: Action, session_file: Path) -> None:
+def _apply(session: Sitting, action: Input, session_file: Path) -> None:
     try:
         session.apply(action)
     except InputError as error:

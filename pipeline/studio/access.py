@@ -160,28 +160,19 @@ class CheckedHandler(RequestHandler):
 class Page(CheckedHandler):
     """The page itself, to which the token is the key."""
 
-    def get(self) -> None:
-        """index.html."""
-        send_file(self, "index.html")
+    def get(self, name: str = "index.html") -> None:
+        """One of the files that were there when the studio began; no other name leads anywhere."""
+        files: dict[str, Path] = self.settings["files"]
+        if name not in files:
+            raise HTTPError(404)
+        self.set_header("Content-Type", KINDS[files[name].suffix])
+        self.finish(files[name].read_bytes())
 
 
-class Part(CheckedHandler):
+class Part(Page):
     """Scripts and styles, by name. They are the same for everybody and public: no token is needed."""
 
     needs_token = False
-
-    def get(self, name: str) -> None:
-        """One of the files that were there when the studio began; no other name leads anywhere."""
-        send_file(self, name)
-
-
-def send_file(handler: RequestHandler, name: str) -> None:
-    """Answer with a file of the application's `files`; 404 when there is none of that name."""
-    files: dict[str, Path] = handler.settings["files"]
-    if name not in files:
-        raise HTTPError(404)
-    handler.set_header("Content-Type", KINDS[files[name].suffix])
-    handler.finish(files[name].read_bytes())
 
 
 def page_files(folder: Path) -> dict[str, Path]:

@@ -15,18 +15,18 @@ from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
 from turtlebag.pipeline.navigation.setup import DEFAULT_EXPLORE_S, MAX_SIMULATED_S, SINGLE_GOAL, require_floor
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.library import outlines_of
 from turtlebag.pipeline.studio.run import Run
 from turtlebag.pipeline.studio.tasks import Task, WiggleDriver, changes_only
+from turtlebag.pipeline.terminal.messages import number_of
 from turtlebag.planners.costmap import Costmap, costmap_from_grid, polygon_mask
 from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
-from turtlebag.sim.shapes import box
+from turtlebag.sim import shapes
 
 BOX_HEIGHT_M, MOST_BOXES = 0.5, 100
 
 
-def map_start(run: Run, action: inputs.MapStart) -> str:
+def map_start(run: Run, action: inputs.Plain) -> str:
     """Begin a new map; one that is loaded is put away."""
     if run.pilot.mapping:
         raise InputError("map_start: a map is being made already; stop it first")
@@ -35,7 +35,7 @@ def map_start(run: Run, action: inputs.MapStart) -> str:
     return "mapping"
 
 
-def map_stop(run: Run, action: inputs.MapStop) -> str:
+def map_stop(run: Run, action: inputs.Plain) -> str:
     """Add nothing more to the map, which can still be saved."""
     if not run.pilot.mapping:
         raise InputError("map_stop: no map is being made")
@@ -45,7 +45,7 @@ def map_stop(run: Run, action: inputs.MapStop) -> str:
     return "mapping stopped"
 
 
-def map_save(run: Run, action: inputs.MapSave) -> str:
+def map_save(run: Run, action: inputs.Save) -> str:
     """Save the map made here, finished; else the one that is loaded, with what to keep out of."""
     library, mapper, grid = run.room.library, run.pilot.mapper, run.grid
     library.check_name(action.name)
@@ -61,7 +61,7 @@ def map_save(run: Run, action: inputs.MapSave) -> str:
     return f"map {action.name} saved"
 
 
-def map_load(run: Run, action: inputs.MapLoad) -> str:
+def map_load(run: Run, action: inputs.Load) -> str:
     """Go by a map; the robot does not know yet where on it it is."""
     path, grid, saved = run.room.library.load_map(action.name)
     keepout = run.room.setup.arena.keepout if saved is None else saved
@@ -73,7 +73,7 @@ def map_load(run: Run, action: inputs.MapLoad) -> str:
     return f"map {action.name or path.stem} loaded"
 
 
-def pose_estimate(run: Run, action: inputs.PoseEstimate) -> str:
+def pose_estimate(run: Run, action: inputs.At) -> str:
     """Tell the robot where it is."""
     navigation, _ = _on_map(run, "pose_estimate")
     pose = SE2.from_xyt(*action.pose)
@@ -84,7 +84,7 @@ def pose_estimate(run: Run, action: inputs.PoseEstimate) -> str:
     return f"initial pose {x:.2f}, {y:.2f}, {yaw:.2f}"
 
 
-def localise_global(run: Run, action: inputs.LocaliseGlobal) -> str:
+def localise_global(run: Run, action: inputs.Plain) -> str:
     """Let the robot find out where it is: it may be anywhere."""
     navigation, grid = _on_map(run, "localise_global")
     require_floor(grid, run.map_path)
@@ -93,7 +93,7 @@ def localise_global(run: Run, action: inputs.LocaliseGlobal) -> str:
     return "global localisation: the robot may be anywhere on the map"
 
 
-def goal(run: Run, action: inputs.SetGoal) -> str:
+def goal(run: Run, action: inputs.At) -> str:
     """Go there: on the map if there is one, else by what is seen."""
     pilot, T_map_goal = run.pilot, SE2.from_xyt(*action.pose)
     if pilot.navigation is None:
@@ -122,7 +122,7 @@ def patrol(run: Run, action: inputs.Patrol) -> str:
     return _begin(run, Task("patrol", run.stamp_ns, navigation, sequence, on_map=True), opening)
 
 
-def avoid(run: Run, action: inputs.Avoid) -> str:
+def avoid(run: Run, action: inputs.Plain) -> str:
     """Drive about."""
     run.end_task("ended: avoid was started")
     end_s = run.stamp_ns * 1e-9 + MAX_SIMULATED_S
@@ -130,7 +130,7 @@ def avoid(run: Run, action: inputs.Avoid) -> str:
     return _begin(run, Task("avoid", run.stamp_ns, driver), "drive around and avoid obstacles")
 
 
-def explore(run: Run, action: inputs.Explore) -> str:
+def explore(run: Run, action: inputs.Plain) -> str:
     """Map what can be reached: the map that is being made is gone on with."""
     run.end_task("ended: explore was started")
     if not run.pilot.mapping:
@@ -140,7 +140,7 @@ def explore(run: Run, action: inputs.Explore) -> str:
     return _begin(run, Task("explore", run.stamp_ns, driver), "explore and map")
 
 
-def wiggle(run: Run, action: inputs.TurnToAndFro) -> str:
+def wiggle(run: Run, action: inputs.Plain) -> str:
     """Turn to and fro."""
     _localised(run, "wiggle")
     run.end_task("ended: wiggle")
@@ -149,7 +149,7 @@ def wiggle(run: Run, action: inputs.TurnToAndFro) -> str:
     return _begin(run, task, "wiggle until the particles converge")
 
 
-def cancel(run: Run, action: inputs.Cancel) -> str:
+def cancel(run: Run, action: inputs.Plain) -> str:
     """End the task."""
     if run.pilot.task is None:
         raise InputError("cancel: there is no task to cancel")
@@ -163,63 +163,51 @@ def waypoints_save(run: Run, action: inputs.WaypointsSave) -> str:
     return f"waypoints {action.name} saved"
 
 
-def waypoints_load(run: Run, action: inputs.WaypointsLoad) -> str:
+def waypoints_load(run: Run, action: inputs.Load) -> str:
     """Show waypoints."""
     loaded = run.room.library.load_waypoints(action.name)
     run.waypoints = tuple((*waypoint.written, waypoint.wait) for waypoint in loaded)
     return f"waypoints {action.name or 'of the tutorial'} loaded"
 
 
-def kidnap(run: Run, action: inputs.Kidnap) -> str:
+def kidnap(run: Run, action: inputs.At) -> str:
     """Carry the robot elsewhere."""
     run.room.simulator.carry(SE2.from_xyt(*action.pose))
     x, y, yaw = action.pose
     return f"kidnapped to {x:.2f}, {y:.2f}, {yaw:.2f}"
 
 
-def drop_box(run: Run, action: inputs.DropBox) -> str:
+def box(run: Run, action: inputs.DropBox) -> str:
     """Drop a box."""
     if len(run.boxes) >= MOST_BOXES:
         raise InputError(f"box: there are {MOST_BOXES} already")
     x, y = action.xy
-    run.room.simulator.drop(box("box", (x, y), (action.size, action.size), 0.0, (0.0, BOX_HEIGHT_M)))
+    run.room.simulator.drop(shapes.box("box", (x, y), (action.size, action.size), 0.0, (0.0, BOX_HEIGHT_M)))
     run.boxes = np.vstack([run.boxes, [x, y, action.size, action.size]])
     return f"box dropped at {x:.2f}, {y:.2f}"
 
 
-def keep_out(run: Run, action: inputs.Keepout) -> str:
+def keepout(run: Run, action: inputs.Keepout) -> str:
     """Keep out of these places, and of no others."""
-    keepout = outlines_of(action.outlines)
+    outlines = tuple(np.array(outline, dtype=np.float64) for outline in action.outlines)
     if run.grid is not None:
-        costmap = _costmap(run, run.grid, keepout)
-        for number, outline in enumerate(keepout, start=1):
+        costmap = _costmap(run, run.grid, outlines)
+        for number, outline in enumerate(outlines, start=1):
             if not polygon_mask(costmap, outline).any():
                 raise InputError(f"keepout {number}: lies outside the map; draw it on the map")
         run.pilot.keep_out(costmap)
-    run.keepout = keepout
-    return f"{len(keepout)} {'place' if len(keepout) == 1 else 'places'} to keep out of"
+    run.keepout = outlines
+    return f"{number_of(len(outlines), 'place')} to keep out of"
 
 
-ACTIONS: dict[type[Any], Callable[[Run, Any], str]] = {
-    inputs.MapStart: map_start,
-    inputs.MapStop: map_stop,
-    inputs.MapSave: map_save,
-    inputs.MapLoad: map_load,
-    inputs.PoseEstimate: pose_estimate,
-    inputs.LocaliseGlobal: localise_global,
-    inputs.SetGoal: goal,
-    inputs.Patrol: patrol,
-    inputs.WaypointsSave: waypoints_save,
-    inputs.WaypointsLoad: waypoints_load,
-    inputs.Avoid: avoid,
-    inputs.Explore: explore,
-    inputs.TurnToAndFro: wiggle,
-    inputs.Cancel: cancel,
-    inputs.Kidnap: kidnap,
-    inputs.DropBox: drop_box,
-    inputs.Keepout: keep_out,
-}
-"""All but those of the session itself: bags, reset and end."""
+ACTIONS: dict[str, Callable[[Run, Any], str]] = {
+    act.__name__: act
+    for act in (
+        map_start, map_stop, map_save, map_load, pose_estimate, localise_global, goal, patrol, waypoints_save,
+        waypoints_load, avoid, explore, wiggle, cancel, kidnap, box, keepout,
+    )
+}  # fmt: skip
+"""By what `do` says: all but those of the session itself, bags, reset and end."""
 
 
 def _begin(run: Run, task: Task, opening: str) -> str:

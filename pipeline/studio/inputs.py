@@ -1,100 +1,72 @@
-"""Everything that a person can ask of a session: one model for each input, `do` says which it is."""
+"""Everything that a page can ask for: `do` says what, and there is one model for all that need the same said.
+
+Inputs are for the session, which `session.yaml` can repeat; controls are for the server: when time passes,
+what to send, who drives.
+"""
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 
+MESSAGE_BYTES = 64 * 1024
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Coordinate = Annotated[float, Field(strict=True, ge=-1e4, le=1e4, allow_inf_nan=False)]
-Speed = Annotated[float, Field(strict=True, ge=-100.0, le=100.0, allow_inf_nan=False)]
+Velocity = Annotated[float, Field(strict=True, ge=-100.0, le=100.0, allow_inf_nan=False)]
 Point = tuple[Coordinate, Coordinate]
 Pose = tuple[Coordinate, Coordinate, Coordinate]
 """x, y [m] and yaw [rad] in the map frame."""
 Outline = Annotated[list[Point], Field(min_length=3, max_length=200)]
+ScanNumber = Annotated[int, Field(strict=True, ge=0, le=10**8)]
 MOST_WAYPOINTS = 500
+DRIVING = ("drive", "stop", "release")
+"""What holds until another is asked for: `session.yaml` has it as intervals, and all else with its time."""
 
 
 class Drive(Settings):
-    """Someone asks for a speed [m/s, rad/s], until another is asked for."""
+    """Someone drives by hand at this speed [m/s, rad/s]; `stop`: at none; `release`: nobody does any more."""
 
     do: Literal["drive"] = "drive"
-    v: Speed = 0.0
-    w: Speed = 0.0
+    v: Velocity = 0.0
+    w: Velocity = 0.0
 
 
-class Stop(Settings):
-    """Someone asks to stand still."""
+class Plain(Settings):
+    """What needs no more said: standing still or handing over, an end or a beginning, a task.
 
-    do: Literal["stop"] = "stop"
+    `map_build` maps a whole bag as `turtlebag map` does, `edits_clear` forgets its loop edits, `wiggle` turns
+    to and fro until the particles have drawn together, `reset` begins anew with what was saved.
+    """
+
+    do: Literal[
+        "stop", "release", "record_stop", "map_start", "map_stop", "localise_global", "avoid", "explore",
+        "wiggle", "cancel", "map_build", "edits_clear", "reset", "end",
+    ]  # fmt: skip
 
 
-class Release(Settings):
-    """Nobody drives by hand any more: the task goes on."""
+class Save(Settings):
+    """A bag or a map under a name: `bags/NAME`, `maps/NAME.pgm` and `.yaml`."""
 
-    do: Literal["release"] = "release"
-
-
-class Record(Settings):
-    """Begin a bag, `bags/NAME`."""
-
-    do: Literal["record"] = "record"
+    do: Literal["record", "map_save"]
     name: Name
 
 
-class RecordStop(Settings):
-    """Finish the bag."""
+class Load(Settings):
+    """What was saved under a name; without one, the map of the start and the tutorial's waypoints."""
 
-    do: Literal["record_stop"] = "record_stop"
-
-
-class MapStart(Settings):
-    """Begin a new map."""
-
-    do: Literal["map_start"] = "map_start"
-
-
-class MapStop(Settings):
-    """Add nothing more to the map."""
-
-    do: Literal["map_stop"] = "map_stop"
-
-
-class MapSave(Settings):
-    """Write `maps/NAME.pgm` and `.yaml` of the map made here, or of the one that is loaded."""
-
-    do: Literal["map_save"] = "map_save"
-    name: Name
-
-
-class MapLoad(Settings):
-    """Go by a map that was saved here; without a name, by the one that the session was started with."""
-
-    do: Literal["map_load"] = "map_load"
+    do: Literal["map_load", "waypoints_load"]
     name: Name | Literal[""] = ""
 
 
-class PoseEstimate(Settings):
-    """Tell the robot where it is."""
+class At(Settings):
+    """Where the robot is told to be, is to go, or is carried to in truth: its wheels notice nothing."""
 
-    do: Literal["pose_estimate"] = "pose_estimate"
-    pose: Pose
-
-
-class LocaliseGlobal(Settings):
-    """Let the robot find out where it is."""
-
-    do: Literal["localise_global"] = "localise_global"
-
-
-class SetGoal(Settings):
-    """Go there."""
-
-    do: Literal["goal"] = "goal"
+    do: Literal["pose_estimate", "goal", "kidnap"]
     pose: Pose
 
 
@@ -111,7 +83,7 @@ Stopovers = Annotated[list[Stopover], Field(min_length=1, max_length=MOST_WAYPOI
 class Patrol(Settings):
     """Go to one place after the other."""
 
-    do: Literal["patrol"] = "patrol"
+    do: Literal["patrol"]
     waypoints: Stopovers
     laps: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
 
@@ -119,53 +91,15 @@ class Patrol(Settings):
 class WaypointsSave(Settings):
     """Write `waypoints/NAME.yaml`."""
 
-    do: Literal["waypoints_save"] = "waypoints_save"
+    do: Literal["waypoints_save"]
     name: Name
     waypoints: Stopovers
-
-
-class WaypointsLoad(Settings):
-    """Show the waypoints that were saved under a name; without one, the tutorial's."""
-
-    do: Literal["waypoints_load"] = "waypoints_load"
-    name: Name | Literal[""] = ""
-
-
-class Avoid(Settings):
-    """Drive about and touch nothing, until something else is asked for."""
-
-    do: Literal["avoid"] = "avoid"
-
-
-class Explore(Settings):
-    """Map what there is to see."""
-
-    do: Literal["explore"] = "explore"
-
-
-class TurnToAndFro(Settings):
-    """Turn to and fro until the particles have drawn together."""
-
-    do: Literal["wiggle"] = "wiggle"
-
-
-class Cancel(Settings):
-    """End the task."""
-
-    do: Literal["cancel"] = "cancel"
-
-
-class Kidnap(Settings):
-    """Carry the robot to a true pose; its wheels notice nothing."""
-
-    do: Literal["kidnap"] = "kidnap"
-    pose: Pose
 
 
 class DropBox(Settings):
     """Put a box, square and unturned, on the floor of the true world: its middle and its side [m]."""
 
-    do: Literal["box"] = "box"
+    do: Literal["box"]
     xy: Point
     size: Annotated[float, Field(strict=True, ge=0.05, le=2.0, allow_inf_nan=False)] = 0.3
 
@@ -173,7 +107,7 @@ class DropBox(Settings):
 class Keepout(Settings):
     """Places to keep out of, in place of those there were."""
 
-    do: Literal["keepout"] = "keepout"
+    do: Literal["keepout"]
     outlines: Annotated[list[Outline], Field(max_length=100)]
 
 
@@ -184,95 +118,95 @@ class Seek(Settings):
     t: Annotated[float, Field(strict=True, ge=0.0, le=1e7, allow_inf_nan=False)]
 
 
-class MapBuild(Settings):
-    """Map the whole bag, as `turtlebag map` does, and show its loops."""
+class Scans(Settings):
+    """Two scans of a loop, to be laid on each other, or said not to have seen the same place."""
 
-    do: Literal["map_build"] = "map_build"
-
-
-ScanNumber = Annotated[int, Field(strict=True, ge=0, le=10**8)]
-
-
-class LoopShow(Settings):
-    """Lay the two scans of a loop on each other."""
-
-    do: Literal["loop_show"] = "loop_show"
-    scan: ScanNumber
-    place: ScanNumber
-
-
-class LoopReject(Settings):
-    """These scans did not see the same place."""
-
-    do: Literal["loop_reject"] = "loop_reject"
+    do: Literal["loop_show", "loop_reject"]
     scan: ScanNumber
     place: ScanNumber
 
 
 class LoopAdd(Settings):
-    """These scans did: `scan` lies at `pose`, roughly, seen from `place`."""
+    """These scans saw the same place: `scan` lies at `pose`, roughly, seen from `place`."""
 
-    do: Literal["loop_add"] = "loop_add"
+    do: Literal["loop_add"]
     scan: ScanNumber
     place: ScanNumber
     pose: Pose
 
 
-class EditsClear(Settings):
-    """Forget the loop edits."""
-
-    do: Literal["edits_clear"] = "edits_clear"
+Input = Drive | Plain | Save | Load | At | Patrol | WaypointsSave | DropBox | Keepout | Seek | Scans | LoopAdd
 
 
-class Reset(Settings):
-    """Begin anew, with what was saved."""
-
-    do: Literal["reset"] = "reset"
-
-
-class End(Settings):
-    """End the session."""
-
-    do: Literal["end"] = "end"
+def _zero_or_more_than_a_tenth(factor: float) -> float:
+    if 0.0 < factor < 0.1:
+        raise ValueError("must be 0 or from 0.1 to 100")
+    return factor
 
 
-Driving = Drive | Stop | Release
-"""What holds for a while: `session.yaml` has it as intervals."""
-Action = (
-    Record
-    | RecordStop
-    | MapStart
-    | MapStop
-    | MapSave
-    | MapLoad
-    | PoseEstimate
-    | LocaliseGlobal
-    | SetGoal
-    | Patrol
-    | WaypointsSave
-    | WaypointsLoad
-    | Avoid
-    | Explore
-    | TurnToAndFro
-    | Cancel
-    | Kidnap
-    | DropBox
-    | Keepout
-    | Seek
-    | MapBuild
-    | LoopShow
-    | LoopReject
-    | LoopAdd
-    | EditsClear
-    | Reset
-    | End
-)
-"""What happens at once: `session.yaml` has it with its time."""
-Input = Driving | Action
+class Turn(Settings):
+    """Let the simulated time stand still or go on, or one tick pass while it stands; or drive from now on."""
+
+    do: Literal["pause", "resume", "step", "take_control"]
+
+
+class Speed(Settings):
+    """Simulated seconds a second; 0: as fast as it goes."""
+
+    do: Literal["speed"]
+    factor: Annotated[
+        float, Field(ge=0.0, le=100.0, allow_inf_nan=False), AfterValidator(_zero_or_more_than_a_tenth)
+    ]
+
+
+class Layers(Settings):
+    """What this client wants to be sent. The page has layers of its own, too: unknown names do nothing."""
+
+    do: Literal["layers"]
+    layers: Annotated[list[Annotated[str, Field(max_length=64)]], Field(max_length=64)]
+
+
+Control = Turn | Speed | Layers
 
 _INPUTS: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="do")])
-KNOWN = tuple(model.model_fields["do"].default for model in get_args(Input))
-"""What `do` may say."""
+_CONTROLS: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminator="do")])
+
+
+def _names(models: Any) -> tuple[str, ...]:
+    return tuple(do for model in get_args(models) for do in get_args(model.model_fields["do"].annotation))
+
+
+KNOWN = _names(Input)
+"""What `do` of an input may say."""
+CONTROLS = _names(Control)
+
+
+class Malformed(Exception):
+    """A message that no page of ours sends."""
+
+
+def parse_message(message: str | bytes) -> Control | Input:
+    """What a client's message asks for.
+
+    Malformed for what no page of ours sends; InputError, in one line, for values that cannot be.
+    """
+    if not isinstance(message, str):
+        raise Malformed("messages are text")
+    if len(message.encode()) > MESSAGE_BYTES:
+        raise Malformed(f"a message has at most {MESSAGE_BYTES // 1024} KiB")
+    try:
+        data: Any = json.loads(message)
+    except (ValueError, RecursionError):
+        raise Malformed("a message is a JSON object") from None
+    do = data.get("do") if isinstance(data, dict) else None
+    if not isinstance(do, str) or do not in (*CONTROLS, *KNOWN):
+        raise Malformed("a message has a `do` that is known here")
+    if do in KNOWN:
+        return parse_input(data, where="page")
+    try:
+        return _CONTROLS.validate_python(data)
+    except ValidationError as error:
+        raise InputError(f"{do}: {error.errors(include_input=False)[0]['msg']}") from None
 
 
 def parse_input(data: Any, where: str = "input") -> Input:

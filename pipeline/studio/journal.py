@@ -20,7 +20,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig
-from turtlebag.pipeline.studio.inputs import Action, Driving, parse_input
+from turtlebag.pipeline.studio.inputs import DRIVING, Input, parse_input
 from turtlebag.sim.simulator import SimConfig
 
 FILE = "session.yaml"
@@ -53,7 +53,7 @@ class Recorded:
     """A session as its file has it: actions by time [ns], intervals of driving, and when it ended [ns]."""
 
     header: Header | BagHeader
-    actions: tuple[tuple[int, Action], ...]
+    actions: tuple[tuple[int, Input], ...]
     script: tuple[Interval, ...]
     until_ns: int
 
@@ -69,7 +69,7 @@ def load_session(path: Path) -> Recorded:
         header = checked(Header, data, where=str(path))
     if not isinstance(entries, list):
         raise InputError(f"{path}: inputs: expected a list")
-    actions: list[tuple[int, Action]] = []
+    actions: list[tuple[int, Input]] = []
     intervals: list[Any] = []
     until_ns = 0
     for number, entry in enumerate(entries, start=1):
@@ -97,7 +97,7 @@ def load_session(path: Path) -> Recorded:
     return Recorded(header, tuple(actions), script, until_ns)
 
 
-def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Action | None]:
+def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Input | None]:
     """Time [ns] and action of an entry; no action where it only says that the session still went on."""
     at, rest = entry["at"], {key: value for key, value in entry.items() if key != "at"}
     if isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at <= LONGEST_S:
@@ -106,7 +106,7 @@ def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Action | None]:
     if not rest:
         return at_ns, None
     action = parse_input(rest, where)
-    if isinstance(action, Driving):
+    if action.do in DRIVING:
         raise InputError(f"{where}: {action.do}: is written as an interval with begin, end, v and w")
     return at_ns, action
 
@@ -125,7 +125,7 @@ class Journal:
         self._asked: Twist | None = None
         self._begin_ns = self._silent_ns = 0
 
-    def action(self, stamp_ns: int, action: Action) -> None:
+    def action(self, stamp_ns: int, action: Input) -> None:
         """Note an action, which happens before the tick at this stamp."""
         self._interval(stamp_ns)
         self._begin_ns = self._silent_ns = stamp_ns

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from turtlebag.datasets.errors import InputError
@@ -90,8 +89,3 @@ def _usable_map(path: Path) -> OccupancyGrid:
     grid = load_map(path)
     require_walls(grid, path)
     return grid
-
-
-def outlines_of(corners: Sequence[Sequence[Sequence[float]]]) -> tuple[Array, ...]:
-    """Outlines as arrays, (n, 2) each."""
-    return tuple(np.array(outline, dtype=np.float64) for outline in corners)

@@ -1,13 +1,12 @@
 """A bag or log that is played: raw by its odometry, through the online mapper, or mapped as a whole.
 
-It has the face of a `Session`, so that the same server shows it. Its simulated time only goes on, so that
-`session.yaml` can play it again; where in the bag that is, inputs decide.
+Its simulated time only goes on, so that `session.yaml` can play it again; where in the bag that is, inputs
+decide.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +22,13 @@ from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.bag_setup import BagSetup, scene_of
-from turtlebag.pipeline.studio.journal import FILE, Journal
-from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
+from turtlebag.pipeline.studio.setup import BagSetup
+from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import NO_PATH, BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.view import Path as ShownPath
-from turtlebag.pipeline.studio.visuals import Cached, EventLog, Trail
-from turtlebag.sim.robots import CONTROL_HZ, stamp_of
+from turtlebag.pipeline.studio.visuals import Cached, Trail
+from turtlebag.sim.robots import stamp_of
 
 EDITS = "edits.yaml"
 DRAWN_EVERY = 60
@@ -39,18 +37,14 @@ ROUNDED_S = 0.1
 """So much later than the bag's end may be asked for: those who ask have a rounded time."""
 
 
-class Playback:
-    """A context manager, like `Session`."""
-
-    period_ns = round(1e9 / CONTROL_HZ)
+class Playback(Sitting):
+    """Of a bag that can be mapped. InputError for any other."""
 
     def __init__(self, setup: BagSetup, folder: Path, say: Callable[[str], None]) -> None:
-        self._log, self._folder = setup.recording, folder
-        self._events, self._library = EventLog(say), Library(folder, None)
-        self.scene = scene_of(setup.bag, self._log)
+        self._log, self.scene = setup.recording, setup.scene()
+        super().__init__(setup.header(), folder, say)
         # logs whose clock goes back keep their order
         self._at_ns = np.maximum.accumulate(self._log.stamps_ns) - self._log.stamps_ns[0]
-        self._journal = Journal(folder / FILE, setup.header())
         self._edits = Edits()
         self._trails = {"odom": Trail(), "slam": Trail()}
         self._slam_path = NO_PATH
@@ -65,19 +59,10 @@ class Playback:
         self._trajectory: Trajectory | None = None
         self._T_map_odom = SE2.identity()
         self._interrupted = False
-        self._step = 0
         self._position_ns = 0
         self._scan = -1
-        self.ended = False
         for note in self._log.notes:
             self._events.add(0, note)
-
-    def __enter__(self) -> Playback:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.close()
 
     @property
     def stamp_ns(self) -> int:
@@ -85,27 +70,13 @@ class Playback:
         return stamp_of(self._step)
 
     @property
-    def idle(self) -> bool:
+    def _told_ns(self) -> int:
+        return self._position_ns
+
+    @property
+    def idle(self) -> bool:  # type: ignore[override]
         """Whether time stands still: the bag is at its end."""
         return self._scan == len(self._log) - 1
-
-    def apply(self, entry: inputs.Input) -> str:
-        """Do what is asked for; a line for the event log. InputError, with nothing changed, when refused."""
-        if self.ended:
-            raise InputError(f"{entry.do}: the session is over")
-        done = self._actions.get(type(entry))
-        if isinstance(entry, inputs.Stop | inputs.Release):
-            return ""
-        if done is None:
-            raise InputError(f"{entry.do}: there is no robot to do that; a bag is being played")
-        try:
-            line = str(done(entry))
-        except OSError as error:
-            raise InputError(f"{entry.do}: {error.filename}: {error.strerror}") from None
-        self._journal.action(self.stamp_ns, entry)  # type: ignore[arg-type]
-        if line:
-            self._events.add(self._position_ns, line)
-        return line
 
     def tick(self) -> None:
         """One control period of the bag."""
@@ -139,42 +110,48 @@ class Playback:
             "played": self._scan + 1,
         }
 
-    def close(self) -> None:
-        """Finish all files; closing twice is harmless."""
-        if not self.ended:
-            self.apply(inputs.End())
-        self._journal.close()
+    def _done(self, entry: inputs.Input) -> str:
+        if isinstance(entry, inputs.Plain):
+            return self._plain(entry.do)
+        if isinstance(entry, inputs.Seek):
+            return self._seek(entry.t)
+        if isinstance(entry, inputs.Save) and entry.do == "map_save":
+            return self._map_save(entry.name)
+        if isinstance(entry, inputs.LoopAdd):
+            return self._add(entry)
+        if isinstance(entry, inputs.Scans):
+            return self._show(entry) if entry.do == "loop_show" else self._reject(entry)
+        raise InputError(f"{entry.do}: there is no robot to do that; a bag is being played")
 
-    @cached_property
-    def _actions(self) -> dict[type, Callable[[Any], str]]:
-        return {
-            inputs.Seek: self._seek,
-            inputs.MapStart: self._map_start,
-            inputs.MapStop: self._map_stop,
-            inputs.MapBuild: lambda _: self._build(),
-            inputs.MapSave: self._map_save,
-            inputs.LoopShow: self._show,
-            inputs.LoopReject: self._reject,
-            inputs.LoopAdd: self._add,
-            inputs.EditsClear: lambda _: self._edited(Edits(), "loop edits cleared"),
-            inputs.Reset: lambda _: self._seek(inputs.Seek(t=0.0)),
-            inputs.End: self._end,
-        }
-
-    def _end(self, action: inputs.End) -> str:
-        self.ended = True
-        return "the session is over"
+    def _plain(self, do: str) -> str:
+        match do:
+            case "stop" | "release":
+                return ""
+            case "map_start":
+                return self._map_start()
+            case "map_stop":
+                return self._map_stop()
+            case "map_build":
+                return self._build()
+            case "edits_clear":
+                return self._edited(Edits(), "loop edits cleared")
+            case "reset":
+                return self._seek(0.0)
+            case "end":
+                self.ended = True
+                return "the session is over"
+        raise InputError(f"{do}: there is no robot to do that; a bag is being played")
 
     # Where in the bag
 
-    def _seek(self, action: inputs.Seek) -> str:
+    def _seek(self, t: float) -> str:
         """Play from there on; the online mapper stops, because it has not seen what lies between."""
-        if action.t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
+        if t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
             raise InputError(f"seek: the bag ends after {self._at_ns[-1] * 1e-9:.1f} s")
         self._mapper = None
         for trail in self._trails.values():
             trail.clear()
-        self._position_ns = min(round(action.t * 1e9), int(self._at_ns[-1]))
+        self._position_ns = min(round(t * 1e9), int(self._at_ns[-1]))
         self._scan = int(np.searchsorted(self._at_ns, self._position_ns, side="right")) - 2
         self._play_to(self._position_ns)
         return ""
@@ -197,7 +174,7 @@ class Playback:
 
     # Mapping
 
-    def _map_start(self, action: inputs.MapStart) -> str:
+    def _map_start(self) -> str:
         if self._mapper is not None:
             raise InputError("map_start: the bag is being mapped already")
         if self.idle:
@@ -209,7 +186,7 @@ class Playback:
         self._trails["slam"].clear()
         return "mapping from here on"
 
-    def _map_stop(self, action: inputs.MapStop) -> str:
+    def _map_stop(self) -> str:
         if self._mapper is None:
             raise InputError("map_stop: no map is being made")
         self._draw()
@@ -251,24 +228,24 @@ class Playback:
         told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(self._graph.loops)} loops"
         return f"{told}; {refused} of the added loops rejected" if refused else told
 
-    def _map_save(self, action: inputs.MapSave) -> str:
+    def _map_save(self, name: str) -> str:
         """The map of the whole bag under a name, built first where it is not what was said since."""
-        self._library.check_name(action.name)
+        self._library.check_name(name)
         if self._built is None or self._built[0] != self._edits:
             self._events.add(self._position_ns, self._build())
         assert self._built is not None
-        self._library.save_map(action.name, self._built[1].grid, ())
-        return f"map {action.name} saved"
+        self._library.save_map(name, self._built[1].grid, ())
+        return f"map {name} saved"
 
     # Loops
 
-    def _show(self, action: inputs.LoopShow) -> str:
+    def _show(self, action: inputs.Scans) -> str:
         if self._graph is None:
             raise InputError("loop_show: there is no graph yet; map the bag first")
         self._loop = self._graph.laid(self._log, action.scan, action.place)
         return ""
 
-    def _reject(self, action: inputs.LoopReject) -> str:
+    def _reject(self, action: inputs.Scans) -> str:
         added = tuple(x for x in self._edits.add if {x.scan, x.place} != {action.scan, action.place})
         if len(added) < len(self._edits.add):
             edits = self._edits.model_copy(update={"add": added})

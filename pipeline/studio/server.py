@@ -16,22 +16,10 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
-from turtlebag.pipeline.studio.controls import (
-    Control,
-    Layers,
-    Malformed,
-    Pause,
-    Resume,
-    Speed,
-    Step,
-    TakeControl,
-    parse_message,
-)
 from turtlebag.pipeline.studio.frames import Frames, bye, hello
-from turtlebag.pipeline.studio.inputs import Input
-from turtlebag.pipeline.studio.playback import Playback
-from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.inputs import Control, Input, Layers, Malformed, Speed, Turn, parse_message
 from turtlebag.pipeline.studio.session_thread import Pace, SessionThread
+from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
 PAGE = Path(__file__).parent / "static"
@@ -53,7 +41,7 @@ WATCHING = "You are watching. Take control to do that."
 class Studio:
     """A session, those who watch it, and the one of them who drives. Lives in the event loop's thread."""
 
-    def __init__(self, session: Session | Playback) -> None:
+    def __init__(self, session: Sitting) -> None:
         self._scene = session.scene
         self._loop = IOLoop.current()
         self._thread = SessionThread(session, self._show)
@@ -105,14 +93,15 @@ class Studio:
         """What a viewer asks for: what to send, anyone may; all else is for the one who drives."""
         if isinstance(asked, Layers):
             viewer.frames.layers = frozenset(asked.layers)
-        elif isinstance(asked, TakeControl):
+        elif asked.do == "take_control":
             self._driver = viewer
         elif viewer is not self._driver:
             viewer.error = WATCHING
-        elif isinstance(asked, Pause | Resume):
-            self._thread.pause(isinstance(asked, Pause))
-        elif isinstance(asked, Step):
-            self._thread.step()
+        elif isinstance(asked, Turn):
+            if asked.do == "step":
+                self._thread.step()
+            else:
+                self._thread.pause(asked.do == "pause")
         elif isinstance(asked, Speed):
             self._thread.speed(asked.factor)
         else:
@@ -230,7 +219,7 @@ def application(studio: Studio, access: Access) -> Application:
 
 
 async def serve(
-    session: Session | Playback,
+    session: Sitting,
     access: Access,
     sockets: Sequence[socket.socket],
     *,

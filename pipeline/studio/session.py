@@ -1,4 +1,4 @@
-"""A session: the simulated robot and what a person asks of it. No clock, no network, no thread."""
+"""A session of the simulated robot: what a person asks of it, and what there is to see of it."""
 
 from __future__ import annotations
 
@@ -13,90 +13,48 @@ from turtlebag.datasets.outputs import sha256_text
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import NoBag
-from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.actions import ACTIONS, map_load
-from turtlebag.pipeline.studio.journal import FILE, Journal
-from turtlebag.pipeline.studio.library import Library
+from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Load, Plain, Save
 from turtlebag.pipeline.studio.publisher import Publisher
 from turtlebag.pipeline.studio.run import Room, Run
 from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
+from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import Scene, View
-from turtlebag.pipeline.studio.visuals import EventLog, Trail
+from turtlebag.pipeline.studio.visuals import Trail
 from turtlebag.sim.robots import static_transforms
-from turtlebag.sim.simulator import CONTROL_HZ, Simulator
+from turtlebag.sim.simulator import Simulator
 
 
-class Session:
-    """A context manager: it owns a simulator and, while one is recorded, a bag."""
-
-    period_ns = round(1e9 / CONTROL_HZ)
-    """From a tick to the next [ns]."""
+class Session(Sitting):
+    """It owns a simulator and, while one is recorded, a bag."""
 
     def __init__(self, setup: StudioSetup, folder: Path, say: Callable[[str], None]) -> None:
-        """`folder` is where everything is written; `say` is told each line of the event log.
-
-        InputError for unknown names and a map that cannot be used.
-        """
-        self.setup, self._folder = setup, folder
-        self.scene = Scene.of(setup.arena, setup.spec, setup.seed)
-        header, library = setup.header(), Library(folder, setup.map_path)
+        """InputError for unknown names and a map that cannot be used."""
+        self.setup, self.scene = setup, Scene.of(setup.arena, setup.spec, setup.seed)
+        super().__init__(setup.header(), folder, say, setup.map_path)
         publisher, simulator = Publisher(), Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
         self._room = Room(
             setup=setup,
             simulator=simulator,
-            library=library,
+            library=self._library,
             run_log=RunLogWriter(folder, simulator, publisher),
-            events=EventLog(say),
+            events=self._events,
             publisher=publisher,
             tasks=[],
             trails={name: Trail() for name in ("odom", "slam", "true")},
         )
-        self._step = 0
         self._run = self._started()
-        self._journal = Journal(folder / FILE, header)
         self._bag: tuple[str, BagWriter] | None = None
-        self.ended = False
-        """Whether it was asked to end."""
-
-    def __enter__(self) -> Session:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.close()
-        else:  # nothing of it is kept
-            self._room.simulator.close()
+        super().__exit__(kind)
+        self._room.simulator.close()
 
     @property
     def stamp_ns(self) -> int:
         """Simulated time [ns]."""
         return self._run.stamp_ns
-
-    def interrupt(self) -> None:
-        """Nothing that is done here can be broken off."""
-
-    idle = False
-    """Whether time stands still whatever is asked for."""
-
-    def apply(self, entry: inputs.Input) -> str:
-        """Do what is asked for at this instant, before the tick; returns a line for the event log.
-
-        It stands in the log already, and is empty where there is nothing to tell. InputError, with nothing
-        changed, when that cannot be done.
-        """
-        if self.ended:
-            raise InputError(f"{entry.do}: the session is over")
-        if isinstance(entry, inputs.Driving):
-            return self._drive(entry)
-        try:
-            line = self._done(entry)
-        except OSError as error:
-            raise InputError(f"{entry.do}: {error.filename}: {error.strerror}") from None
-        self._journal.action(self.stamp_ns, entry)
-        if line:
-            self._run.say(line)
-        return line
 
     def tick(self) -> None:
         """One control period; nothing once the session is over."""
@@ -106,7 +64,7 @@ class Session:
         self._run.tick()
         self._step += 1
         if self.stamp_ns >= LONGEST_S * 1e9:
-            self.apply(inputs.End())
+            self.apply(Plain(do="end"))
 
     def metrics(self) -> dict[str, Any]:
         """How long it lasted [s], and the metrics of each task."""
@@ -114,9 +72,7 @@ class Session:
 
     def close(self) -> None:
         """Finish all files; closing twice is harmless."""
-        if not self.ended:
-            self.apply(inputs.End())
-        self._journal.close()
+        super().close()
         self._room.run_log.close()
         self._room.simulator.close()
 
@@ -124,35 +80,29 @@ class Session:
         """A run at the spawn, on the map that was given."""
         run = Run(self._room, self._step)
         if self.setup.map_path is not None:
-            map_load(run, inputs.MapLoad())
+            map_load(run, Load(do="map_load"))
         return run
 
-    def _drive(self, entry: inputs.Driving) -> str:
-        hands = self._run.hands
-        if isinstance(entry, inputs.Release):
-            hands.command = None
-        else:
-            hands.command = Twist(entry.v, entry.w) if isinstance(entry, inputs.Drive) else Twist()
-        return ""
-
-    def _done(self, action: inputs.Action) -> str:
-        if isinstance(action, inputs.Record):
-            return self._record(action.name)
-        if isinstance(action, inputs.RecordStop):
-            if self._bag is None:
-                raise InputError("record_stop: nothing is being recorded")
+    def _done(self, entry: Input) -> str:
+        if entry.do in DRIVING:
+            asked = Twist(entry.v, entry.w) if isinstance(entry, Drive) else Twist()
+            self._run.hands.command = None if entry.do == "release" else asked
+            return ""
+        if isinstance(entry, Save) and entry.do == "record":
+            return self._record(entry.name)
+        if entry.do == "record_stop":
             return self._record_stop()
-        if isinstance(action, inputs.Reset):
+        if entry.do == "reset":
             self._finish("ended: reset")
             self._run = self._started()
             return "reset: the robot is back at its start"
-        if isinstance(action, inputs.End):
+        if entry.do == "end":
             self._finish("ended with the session")
             self.ended = True
             return "the session is over"
-        if type(action) not in ACTIONS:
-            raise InputError(f"{action.do}: no bag is being played; start the studio with --bag BAG")
-        return ACTIONS[type(action)](self._run, action)
+        if entry.do not in ACTIONS:
+            raise InputError(f"{entry.do}: no bag is being played; start the studio with --bag BAG")
+        return ACTIONS[entry.do](self._run, entry)
 
     def _finish(self, why: str) -> None:
         self._run.end_task(why)
@@ -181,7 +131,8 @@ class Session:
         return f"recording {name}"
 
     def _record_stop(self) -> str:
-        assert self._bag is not None
+        if self._bag is None:
+            raise InputError("record_stop: nothing is being recorded")
         name, bag = self._bag
         bag.close()
         self._bag, self._room.publisher.bag = None, NoBag()

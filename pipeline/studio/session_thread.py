@@ -15,9 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio.inputs import Drive, Driving, Input, Stop
-from turtlebag.pipeline.studio.playback import Playback
-from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Plain
+from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
 HEARTBEAT_S = 0.5
@@ -46,7 +45,7 @@ Refused = Callable[[str], None]
 class SessionThread:
     """The thread. `show` is called in it with each view that `want_view` asked for."""
 
-    def __init__(self, session: Session | Playback, show: Callable[[View, Pace], None]) -> None:
+    def __init__(self, session: Sitting, show: Callable[[View, Pace], None]) -> None:
         self._session, self._show = session, show
         self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="session")
@@ -181,12 +180,12 @@ class SessionThread:
             refused(str(error))
             return
         log.debug("%.3f s: %s", self._session.stamp_ns * 1e-9, done)
-        if isinstance(entry, Driving) or entry.do in ("reset", "end"):
+        if entry.do in (*DRIVING, "reset", "end"):
             self._drive = entry if isinstance(entry, Drive) else None
 
     def _stop_unless_driven(self) -> None:
         if self._drive is not None and time.monotonic() - self._driven > HEARTBEAT_S:
-            self._apply(Stop(), log.warning)
+            self._apply(Plain(do="stop"), log.warning)
 
     def _pause(self, paused: bool) -> None:
         self._paused, self._steps, self._due = paused, 0, time.monotonic()

@@ -10,7 +10,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.access import LOOPBACK
-from turtlebag.pipeline.studio.inputs import Drive, MapLoad
+from turtlebag.pipeline.studio.inputs import Drive
 from turtlebag.pipeline.studio.view import Event, MapLayer
 
 HERE = f"http://{LOOPBACK}:"
@@ -31,7 +31,7 @@ class PageSession(FakeSession):
         self.told = {}
 
     def apply(self, entry):
-        if isinstance(entry, MapLoad):
+        if entry.do == "map_load":
             raise InputError("map_load: no map 'nowhere' in this session: save one first")
         self.applied.append((self.stamp_ns, entry))
         self._drive = entry if isinstance(entry, Drive) else Drive()

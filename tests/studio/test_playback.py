@@ -14,8 +14,8 @@ from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs, playback
-from turtlebag.pipeline.studio.bag_setup import BagSetup
 from turtlebag.pipeline.studio.playback import Playback
+from turtlebag.pipeline.studio.setup import BagSetup
 
 
 @pytest.fixture(scope="module")
@@ -60,17 +60,21 @@ def test_time_stands_still_at_the_end(played):
 
 
 def test_a_bag_has_no_robot_to_drive(played):
-    for entry in (inputs.SetGoal(pose=(0, 0, 0)), inputs.Record(name="a"), inputs.Drive(v=0.1)):
+    for entry in (
+        inputs.At(do="goal", pose=(0, 0, 0)),
+        inputs.Save(do="record", name="a"),
+        inputs.Drive(v=0.1),
+    ):
         with pytest.raises(InputError, match="a bag is being played"):
             played.apply(entry)
     with pytest.raises(InputError, match="map the bag first"):
-        played.apply(inputs.LoopShow(scan=LAST, place=0))
+        played.apply(inputs.Scans(do="loop_show", scan=LAST, place=0))
 
 
 @pytest.mark.slow
 def test_the_online_mapper_maps_from_where_the_bag_stands(played):
     played.apply(inputs.Seek(t=4.0))
-    played.apply(inputs.MapStart())
+    played.apply(inputs.Plain(do="map_start"))
     run(played, 12.0)
     view = played.view()
     assert view.mapping
@@ -89,19 +93,19 @@ def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command
     # in a room this small the refinement would do without loops
     config = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
     monkeypatch.setattr(playback, "SlamConfig", lambda: config)
-    assert "good map of 150 scans" in played.apply(inputs.MapBuild())
+    assert "good map of 150 scans" in played.apply(inputs.Plain(do="map_build"))
     view = played.view()
     loops = view.graph.edges[view.graph.edges[:, 2] == 1]
     assert len(loops)
     scan, place = (int(view.bag.keys[key]) for key in loops[0, :2])
-    played.apply(inputs.LoopShow(scan=scan, place=place))
+    played.apply(inputs.Scans(do="loop_show", scan=scan, place=place))
     loop = played.view().bag.loop
     assert "found by distance" in loop.told
     assert "left in the graph" in loop.told
     near = np.linalg.norm(loop.scan_points[:, None] - loop.place_points[None], axis=2).min(axis=1)
     assert np.quantile(near, 0.5) < 0.06
-    played.apply(inputs.LoopReject(scan=scan, place=place))
-    played.apply(inputs.MapSave(name="parted"))
+    played.apply(inputs.Scans(do="loop_reject", scan=scan, place=place))
+    played.apply(inputs.Save(do="map_save", name="parted"))
     after = played.view()
     assert len(after.graph.edges[after.graph.edges[:, 2] == 1]) < len(loops)
     assert after.bag.edits == (("reject", scan, place),)
@@ -116,16 +120,16 @@ def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command
 
 @pytest.mark.slow
 def test_a_build_that_is_refused_or_cancelled_changes_nothing(played):
-    played.apply(inputs.MapStart())
+    played.apply(inputs.Plain(do="map_start"))
     run(played, 2.0)
-    played.apply(inputs.LoopAdd(scan=5, place=3, pose=(0.0, 0.0, 0.0)))
+    played.apply(inputs.LoopAdd(do="loop_add", scan=5, place=3, pose=(0.0, 0.0, 0.0)))
     with pytest.raises(InputError, match=r"^scans 5 and 3 were taken shortly after each other"):
-        played.apply(inputs.MapBuild())
+        played.apply(inputs.Plain(do="map_build"))
     assert played.view().mapping
-    played.apply(inputs.EditsClear())
+    played.apply(inputs.Plain(do="edits_clear"))
     played.interrupt()
     with pytest.raises(InputError, match="cancelled"):
-        played.apply(inputs.MapBuild())
+        played.apply(inputs.Plain(do="map_build"))
     assert played.view().mapping
 
 
@@ -133,15 +137,15 @@ def test_a_build_that_is_refused_or_cancelled_changes_nothing(played):
 def test_the_scan_lies_where_the_robot_is_drawn_when_the_map_is_another(played):
     run(played, 25.0)
     played.view()
-    played.apply(inputs.MapBuild())
+    played.apply(inputs.Plain(do="map_build"))
     view = played.view()
     true = LOG.scan(124)
     assert np.hypot(*(view.T_map_base.inverse() @ view.T_odom_base).xy) > 0.05
     ranges = np.linalg.norm(view.T_map_base.inverse() @ view.scan, axis=1)
     np.testing.assert_allclose(ranges, true.ranges[np.isfinite(true.ranges)], atol=1e-4)
     with pytest.raises(InputError, match="shortly after each other"):
-        played.apply(inputs.LoopAdd(scan=5, place=3, pose=(0.0, 0.0, 0.0)))
-    assert "shown already" in played.apply(inputs.MapBuild())
+        played.apply(inputs.LoopAdd(do="loop_add", scan=5, place=3, pose=(0.0, 0.0, 0.0)))
+    assert "shown already" in played.apply(inputs.Plain(do="map_build"))
 
 
 def test_a_file_with_a_time_beyond_the_bags_end_is_played_to_its_end(bag, tmp_path):
@@ -154,23 +158,23 @@ def test_a_file_with_a_time_beyond_the_bags_end_is_played_to_its_end(bag, tmp_pa
 
 @pytest.mark.slow
 def test_a_loop_that_is_added_wrongly_is_told_to_be_not_believed(played):
-    played.apply(inputs.LoopAdd(scan=LAST, place=LAST // 3, pose=(1.0, 1.0, 0.8)))
-    assert played.apply(inputs.MapBuild()).endswith("1 of the added loops rejected")
+    played.apply(inputs.LoopAdd(do="loop_add", scan=LAST, place=LAST // 3, pose=(1.0, 1.0, 0.8)))
+    assert played.apply(inputs.Plain(do="map_build")).endswith("1 of the added loops rejected")
     assert "not joined" in played.view().events[-2].text
-    played.apply(inputs.LoopReject(scan=LAST, place=LAST // 3))
+    played.apply(inputs.Scans(do="loop_reject", scan=LAST, place=LAST // 3))
     assert played.view().bag.edits == ()
     with pytest.raises(InputError, match="has no scan 999"):
-        played.apply(inputs.LoopReject(scan=999, place=0))
+        played.apply(inputs.Scans(do="loop_reject", scan=999, place=0))
 
 
 @pytest.mark.slow
 def test_a_session_with_a_bag_is_played_again_to_the_same_bytes(bag, tmp_path):
     with studio_output(BagSetup(bag), Output(tmp_path / "one"), say=lambda line: None) as session:
         run(session, 3.0)
-        session.apply(inputs.MapStart())
+        session.apply(inputs.Plain(do="map_start"))
         run(session, 3.0)
-        session.apply(inputs.LoopReject(scan=LAST, place=0))
-        session.apply(inputs.MapSave(name="whole"))
+        session.apply(inputs.Scans(do="loop_reject", scan=LAST, place=0))
+        session.apply(inputs.Save(do="map_save", name="whole"))
     assert replay(tmp_path / "one" / "session.yaml", Output(tmp_path / "two"), say=lambda line: None) == 0
     files = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.*"))
     assert {str(path) for path in files} >= {"session.yaml", "edits.yaml", "maps/whole.pgm", "metrics.json"}

@@ -16,7 +16,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.takeover import load_script
 from turtlebag.pipeline.stages.studio import replay
-from turtlebag.pipeline.studio.inputs import MapStart, SetGoal
+from turtlebag.pipeline.studio.inputs import At, Plain
 from turtlebag.pipeline.studio.journal import Header, Journal, load_session
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, stamp_of
@@ -67,10 +67,10 @@ def test_driving_is_written_as_intervals_of_a_second_at_most(tmp_path):
 
 
 def test_what_happens_within_an_interval_stands_where_it_happened(tmp_path):
-    goal = SetGoal(pose=(1.0, 0.5, 0.0))
+    goal = At(do="goal", pose=(1.0, 0.5, 0.0))
     actions = [
         lambda journal: journal.action(stamp_of(6), goal),
-        lambda journal: journal.action(stamp_of(9), MapStart()),
+        lambda journal: journal.action(stamp_of(9), Plain(do="map_start")),
     ]
     asked = Twist(0.1, 0.0)
     entries = written(
@@ -93,7 +93,7 @@ def test_a_silent_session_says_each_second_that_it_goes_on(tmp_path):
 def test_every_line_is_in_the_file_at_once(tmp_path):
     journal = Journal(tmp_path / "session.yaml", Header(world="empty", robot="burger", seed=1))
     assert load_session(tmp_path / "session.yaml").actions == ()
-    journal.action(0, MapStart())
+    journal.action(0, Plain(do="map_start"))
     assert [action.do for _, action in load_session(tmp_path / "session.yaml").actions] == ["map_start"]
 
 

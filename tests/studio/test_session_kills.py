@@ -23,15 +23,15 @@ import sys, time
 from pathlib import Path
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.studio import studio_output
-from turtlebag.pipeline.studio.inputs import Avoid, Drive, Record, Release
+from turtlebag.pipeline.studio.inputs import Drive, Plain, Save
 from turtlebag.pipeline.studio.setup import StudioSetup
 
 with studio_output(StudioSetup("turtlebot3_world", seed=1), Output(Path(sys.argv[1])), say=print) as session:
-    session.apply(Record(name="drive"))
-    session.apply(Avoid())
+    session.apply(Save(do="record", name="drive"))
+    session.apply(Plain(do="avoid"))
     while True:
         if session.stamp_ns > 2e9:
-            session.apply(Drive(v=0.1) if session.stamp_ns < 4e9 else Release())
+            session.apply(Drive(v=0.1) if session.stamp_ns < 4e9 else Plain(do="release"))
         session.tick()
         time.sleep(0.003)
 """

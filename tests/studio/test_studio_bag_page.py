@@ -10,8 +10,8 @@ from tests.studio.room_bag import LAST, LOG, write_bag
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig
-from turtlebag.pipeline.studio.bag_setup import BagSetup
 from turtlebag.pipeline.studio.playback import Playback
+from turtlebag.pipeline.studio.setup import BagSetup
 
 pytestmark = [
     pytest.mark.slow,

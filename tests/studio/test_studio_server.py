@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.studio.fakes import FakeSession, Served, connect, run
-from turtlebag.pipeline.studio.inputs import Drive, Stop
+from turtlebag.pipeline.studio.inputs import Drive, Plain
 
 pytestmark = pytest.mark.slow
 
@@ -94,7 +94,7 @@ def test_who_drives_and_falls_silent_stops_after_half_a_second(served):
     since_the_last = 0.2 + run(drive())
     assert 0.4 < since_the_last < 0.9
     # A speed that was asked for again is one input, not many.
-    assert [entry for _, entry in served.session.applied] == [Drive(v=0.2, w=0.5), Stop()]
+    assert [entry for _, entry in served.session.applied] == [Drive(v=0.2, w=0.5), Plain(do="stop")]
     begun, ended = (stamp for stamp, _ in served.session.applied)
     assert 1.2 < (ended - begun) * 1e-9 < 2.1
 
