@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +34,35 @@ def epilog(example: str) -> dict[str, Any]:
     return {"epilog": f"example:\n  {example}", "formatter_class": raw}
 
 
+def option(
+    parser: argparse.ArgumentParser,
+    name: str,
+    metavar: str,
+    text: str,
+    kind: Callable[[str], Any] = str,
+    **more: Any,
+) -> None:
+    """An option that takes a value, or an argument where the name has no dashes."""
+    parser.add_argument(name, metavar=metavar, help=text, type=kind, **more)
+
+
+def repeated(
+    parser: argparse.ArgumentParser,
+    name: str,
+    metavar: str,
+    text: str,
+    kind: Callable[[str], Any] = str,
+    **more: Any,
+) -> None:
+    """An option that may be given more than once: a list."""
+    option(parser, name, metavar, text, kind, action="append", default=[], **more)
+
+
+def flag(parser: argparse.ArgumentParser, name: str, text: str) -> None:
+    """An option that is given or not."""
+    parser.add_argument(name, action="store_true", help=text)
+
+
 def add_output(
     parser: argparse.ArgumentParser,
     text: str = "folder to write the results to",
@@ -41,8 +71,8 @@ def add_output(
     required: bool = True,
 ) -> None:
     """--out and --force."""
-    parser.add_argument("--out", type=Path, required=required, metavar=what, help=text)
-    parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+    option(parser, "--out", what, text, Path, required=required)
+    flag(parser, "--force", "replace --out if it exists")
 
 
 def output(args: argparse.Namespace) -> Output:
@@ -54,26 +84,17 @@ def output(args: argparse.Namespace) -> Output:
 
 def add_config(parser: argparse.ArgumentParser) -> None:
     """--config and --set."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file with settings")
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override one setting; may be repeated",
-    )
+    option(parser, "--config", "FILE", "YAML file with settings", Path)
+    repeated(parser, "--set", "KEY=VALUE", "override one setting; may be repeated", dest="settings")
 
 
 def add_world(parser: argparse.ArgumentParser, seed_value: int) -> None:
     """What is simulated: --world, --robot, --seed and --start."""
     text = "world: a name, a YAML or SDF file, or a class of yours (module:Class)"
-    parser.add_argument("--world", required=True, metavar="W", help=text)
-    parser.add_argument(
-        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
-    )
+    option(parser, "--world", "W", text, required=True)
+    option(parser, "--robot", "R", "robot: a name or a YAML file (default: the world's own)")
     add_seed(parser, seed_value)
-    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    option(parser, "--start", "X,Y,YAW", "true start pose (default: the world's spawn)")
 
 
 def start_of(args: argparse.Namespace) -> SE2 | None:
@@ -83,14 +104,13 @@ def start_of(args: argparse.Namespace) -> SE2 | None:
 
 def add_seed(parser: argparse.ArgumentParser, value: int) -> None:
     """--seed."""
-    text = f"random seed (default: {value})"
-    parser.add_argument("--seed", type=seed, default=value, metavar="N", help=text)
+    option(parser, "--seed", "N", f"random seed (default: {value})", seed, default=value)
 
 
 def add_map(parser: argparse.ArgumentParser, purpose: str, *, required: bool = True) -> None:
     """--map."""
     text = f"map to {purpose} on: its YAML file, or a folder that map wrote"
-    parser.add_argument("--map", type=map_file, required=required, metavar="MAP", help=text)
+    option(parser, "--map", "MAP", text, map_file, required=required)
 
 
 def named_inputs(args: argparse.Namespace) -> list[Path]:
@@ -148,11 +168,8 @@ def pose(text: str, option: str) -> SE2:
 
 def add_laser(parser: argparse.ArgumentParser, source: str) -> None:
     """--laser, which overrides what the argument `source` says."""
-    parser.add_argument(
-        "--laser",
-        metavar="X,Y,YAW[,upside-down]",
-        help=f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}",
-    )
+    text = f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}"
+    option(parser, "--laser", "X,Y,YAW[,upside-down]", text)
 
 
 def laser(text: str | None) -> tuple[SE2 | None, bool]:

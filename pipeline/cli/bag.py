@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, epilog
+from turtlebag.pipeline.cli.arguments import add_output, epilog, option, repeated
 from turtlebag.pipeline.terminal.messages import log, log_notes, number_of
 
 if TYPE_CHECKING:
@@ -26,13 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
 
     def action(name: str, act: Callable[[argparse.Namespace], int], text: str, example: str) -> _Parser:
-        sub = actions.add_parser(
-            name,
-            help=text,
-            description=f"{text[0].upper()}{text[1:]}.",
-            **epilog(example),
-        )
-        sub.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag folder or bag file")
+        told = f"{text[0].upper()}{text[1:]}."
+        sub = actions.add_parser(name, help=text, description=told, **epilog(example))
+        option(sub, "bag", "BAG", "record folder, bag folder or bag file", Path)
         sub.set_defaults(act=act)
         return sub
 
@@ -49,13 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "play a recording in the terminal: clock, speeds, scan and path",
         "turtlebag bag play data/record --rate 4",
     )
-    sub.add_argument(
-        "--rate",
-        type=float,
-        default=1.0,
-        metavar="R",
-        help="playback speed (default: 1, the speed of the recording)",
-    )
+    text = "playback speed (default: 1, the speed of the recording)"
+    option(sub, "--rate", "R", text, float, default=1.0)
     sub = action(
         "recover",
         _recover,
@@ -70,14 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "turtlebag bag convert data/record --out record.bag",
     )
     add_output(sub, "NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag", what="OUT")
-    sub.add_argument(
-        "--storage",
-        choices=("mcap", "sqlite3"),
-        help="storage format of the rosbag2 folder (default: mcap)",
-    )
-    sub.add_argument(
-        "--exclude", action="append", default=[], metavar="TOPIC", help="topic to leave out; may be repeated"
-    )
+    text = "storage format of the rosbag2 folder (default: mcap)"
+    sub.add_argument("--storage", choices=("mcap", "sqlite3"), help=text)
+    repeated(sub, "--exclude", "TOPIC", "topic to leave out; may be repeated")
 
 
 _Parser = argparse.ArgumentParser

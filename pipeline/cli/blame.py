@@ -6,25 +6,17 @@ import argparse
 from pathlib import Path
 
 from turtlebag.pipeline.campaign.parts import PARTS
-from turtlebag.pipeline.cli.arguments import add_config, add_output, output
+from turtlebag.pipeline.cli.arguments import add_config, add_output, flag, option, output
 
 EXAMPLE = "turtlebag blame data/records/world --replace odometry --out data/blame"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag blame`."""
-    parser.add_argument("record", type=Path, metavar="DIR", help="output of record")
-    parser.add_argument(
-        "--replace",
-        default="none",
-        metavar="PARTS",
-        help=f"what to replace with ground truth: none, or a comma-separated list of {', '.join(PARTS)}",
-    )
-    parser.add_argument(
-        "--patrol",
-        action="store_true",
-        help="then drive the tutorial's patrol on the map, with the same parts replaced",
-    )
+    option(parser, "record", "DIR", "output of record", Path)
+    text = f"what to replace with ground truth: none, or a comma-separated list of {', '.join(PARTS)}"
+    option(parser, "--replace", "PARTS", text, default="none")
+    flag(parser, "--patrol", "then drive the tutorial's patrol on the map, with the same parts replaced")
     add_config(parser)
     add_output(parser)
 

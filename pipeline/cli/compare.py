@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, output
+from turtlebag.pipeline.cli.arguments import add_output, option, output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 from turtlebag.pipeline.terminal.messages import number_of
 
@@ -15,12 +15,12 @@ EXAMPLE = "turtlebag compare data/maps/a cartographer=poses.tum cartographer=map
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag compare`."""
-    parser.add_argument("a", type=Path, metavar="A", help="output of record, map, localise, plan or navigate")
+    option(parser, "a", "A", "output of record, map, localise, plan or navigate", Path)
     text = (
         "another output of the same stage; or files of other systems: trajectories (TUM, KITTI, EuRoC csv) "
         "and maps (yaml), the two of one system under one NAME"
     )
-    parser.add_argument("b", nargs="+", metavar="B|[NAME=]FILE", help=text)
+    option(parser, "b", "B|[NAME=]FILE", text, nargs="+")
     add_rival_options(parser)
     add_output(parser, "also write a page with pictures", required=False)
 

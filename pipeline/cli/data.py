@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.registry import DATASETS, MIRROR_VARIABLE, Dataset, fetch
-from turtlebag.pipeline.cli.arguments import epilog
+from turtlebag.pipeline.cli.arguments import epilog, option
 
 EXAMPLE = "turtlebag data fetch intel"
 
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         **epilog("turtlebag data fetch intel"),
     )
     text = "name of a log, as `turtlebag data list` shows it"
-    fetching.add_argument("names", nargs="+", metavar="NAME", help=text)
+    option(fetching, "names", "NAME", text, nargs="+")
     fetching.set_defaults(act=_fetch)
 
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 
+from turtlebag.pipeline.cli.arguments import flag
 from turtlebag.pipeline.setup.missing_package import INSTALL
 
 EXAMPLE = "turtlebag doctor --trial"
@@ -15,11 +16,8 @@ EXAMPLE = "turtlebag doctor --trial"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument(
-        "--trial",
-        action="store_true",
-        help="also record, map and drive for a few seconds (the first time compiles the numeric kernels)",
-    )
+    text = "also record, map and drive for a few seconds (the first time compiles the numeric kernels)"
+    flag(parser, "--trial", text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ from turtlebag.pipeline.cli.arguments import (
     add_output,
     add_seed,
     laser,
+    option,
     output,
     pose,
 )
@@ -23,15 +24,12 @@ EXAMPLE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag or CARMEN log")
+    option(parser, "bag", "BAG", "record folder, bag or CARMEN log", Path)
     add_map(parser, "localise")
-    parser.add_argument(
-        "--initial-pose",
-        metavar="X,Y,YAW|global",
-        help="where on the map the robot starts; global: search the whole map",
-    )
+    text = "where on the map the robot starts; global: search the whole map"
+    option(parser, "--initial-pose", "X,Y,YAW|global", text)
     add_laser(parser, "BAG")
-    parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
+    option(parser, "--truth", "DIR", "truth folder to measure errors against", Path)
     add_seed(parser, 1)
     add_config(parser)
     add_output(parser)

@@ -15,6 +15,8 @@ from turtlebag.pipeline.cli.arguments import (
     add_map,
     add_output,
     add_world,
+    flag,
+    option,
     output,
     pose,
     start_of,
@@ -52,44 +54,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--task", required=True, choices=OrOwn(TASKS), help="task to run, or a class of yours"
     )
     add_map(parser, "navigate", required=False)
-    parser.add_argument(
-        "--initial-pose",
-        metavar="X,Y,YAW|start|global",
-        help="initial pose given to the robot: a pose, its true start, or global localisation",
-    )
-    parser.add_argument("--goal", metavar="X,Y,YAW", help="goal of --task goal, in metres and radians")
-    parser.add_argument(
-        "--waypoints",
-        type=Path,
-        metavar="FILE",
-        help="YAML file with the patrol's waypoints (default: the tutorial's)",
-    )
-    parser.add_argument("--laps", type=_count, metavar="N", help="laps of the patrol (default: 1)")
-    parser.add_argument("--timeout", type=_positive, metavar="S", help="simulated seconds for each goal")
-    parser.add_argument(
-        "--duration",
-        type=_positive,
-        metavar="S",
-        help="simulated seconds: the length of avoid, or the limit for explore",
-    )
-    parser.add_argument(
-        "--mode",
-        choices=("guarded", "tutorial"),
-        help="for --task avoid: guarded (default) uses the robot's shape; tutorial is the tutorial's rule",
-    )
-    parser.add_argument(
-        "--wiggle", action="store_true", help="first turn back and forth until the particles converge"
-    )
-    parser.add_argument(
-        "--takeover",
-        metavar="keyboard|FILE",
-        help="teleop override of cmd_vel: by keyboard, or by a YAML list of begin, end, v and w",
-    )
-    parser.add_argument(
-        "--keepout",
-        metavar="FILE|none",
-        help="YAML file with keep-out polygons under 'keepout' (default: the world's own)",
-    )
+    text = "initial pose given to the robot: a pose, its true start, or global localisation"
+    option(parser, "--initial-pose", "X,Y,YAW|start|global", text)
+    option(parser, "--goal", "X,Y,YAW", "goal of --task goal, in metres and radians")
+    text = "YAML file with the patrol's waypoints (default: the tutorial's)"
+    option(parser, "--waypoints", "FILE", text, Path)
+    option(parser, "--laps", "N", "laps of the patrol (default: 1)", _count)
+    option(parser, "--timeout", "S", "simulated seconds for each goal", _positive)
+    text = "simulated seconds: the length of avoid, or the limit for explore"
+    option(parser, "--duration", "S", text, _positive)
+    text = "for --task avoid: guarded (default) uses the robot's shape; tutorial is the tutorial's rule"
+    parser.add_argument("--mode", choices=("guarded", "tutorial"), help=text)
+    flag(parser, "--wiggle", "first turn back and forth until the particles converge")
+    text = "teleop override of cmd_vel: by keyboard, or by a YAML list of begin, end, v and w"
+    option(parser, "--takeover", "keyboard|FILE", text)
+    text = "YAML file with keep-out polygons under 'keepout' (default: the world's own)"
+    option(parser, "--keepout", "FILE|none", text)
     add_config(parser)
     add_output(parser)
 

@@ -5,7 +5,17 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_seed, output, pose
+from turtlebag.pipeline.cli.arguments import (
+    OrOwn,
+    add_config,
+    add_map,
+    add_output,
+    add_seed,
+    flag,
+    option,
+    output,
+    pose,
+)
 from turtlebag.planners.planner_names import PlannerName
 
 EXAMPLE = (
@@ -17,14 +27,13 @@ EXAMPLE = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     add_map(parser, "plan")
-    text = "robot: a name or a YAML file (default: burger)"
-    parser.add_argument("--robot", default="burger", metavar="R", help=text)
-    parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="start pose, in metres and radians")
-    parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="goal pose")
+    option(parser, "--robot", "R", "robot: a name or a YAML file (default: burger)", default="burger")
+    option(parser, "--start", "X,Y,YAW", "start pose, in metres and radians", required=True)
+    option(parser, "--goal", "X,Y,YAW", "goal pose", required=True)
     names = get_args(PlannerName)
     text = f"OMPL planner: {', '.join(names)} (default: BITstar for a disc, else RRTConnect)"
-    parser.add_argument("--planner", choices=OrOwn(names), metavar="P", help=f"{text}, or a class of yours")
-    parser.add_argument("--compare", action="store_true", help="run every planner and compare the paths")
+    option(parser, "--planner", "P", f"{text}, or a class of yours", choices=OrOwn(names))
+    flag(parser, "--compare", "run every planner and compare the paths")
     add_seed(parser, 0)
     add_config(parser)
     add_output(parser)

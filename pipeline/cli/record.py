@@ -5,7 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, named_inputs, output, start_of
+from turtlebag.pipeline.cli.arguments import (
+    add_config,
+    add_output,
+    add_world,
+    named_inputs,
+    option,
+    output,
+    start_of,
+)
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
@@ -14,12 +22,8 @@ EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --ou
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_world(parser, 1)
-    parser.add_argument(
-        "--teleop",
-        default="tour",
-        metavar="SCRIPT",
-        help="teleop script: a name, a YAML file, or a bag whose /cmd_vel is replayed",
-    )
+    text = "teleop script: a name, a YAML file, or a bag whose /cmd_vel is replayed"
+    option(parser, "--teleop", "SCRIPT", text, default="tour")
     add_config(parser)
     add_output(parser)
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, output
+from turtlebag.pipeline.cli.arguments import add_output, flag, option, output, repeated
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
@@ -14,15 +14,12 @@ EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag report`."""
-    text = "outputs of record, map, localise, plan and navigate"
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help=text)
-    parser.add_argument("--paper", action="store_true", help="also save each figure as PDF and SVG")
-    text = "make a sortable table of all outputs below DIR instead"
-    parser.add_argument("--index", action="store_true", help=text)
-    text = "leave out the animations, for a smaller page"
-    parser.add_argument("--no-animation", action="store_true", help=text)
+    option(parser, "folders", "DIR", "outputs of record, map, localise, plan and navigate", Path, nargs="+")
+    flag(parser, "--paper", "also save each figure as PDF and SVG")
+    flag(parser, "--index", "make a sortable table of all outputs below DIR instead")
+    flag(parser, "--no-animation", "leave out the animations, for a smaller page")
     text = "file of another system to show next to ours (see compare); may be repeated"
-    parser.add_argument("--rival", action="append", default=[], metavar="[NAME=]FILE", help=text)
+    repeated(parser, "--rival", "[NAME=]FILE", text)
     add_rival_options(parser)
     add_output(parser)
 
@@ -37,13 +34,9 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.report import make_index, make_report
 
     if args.index:
-        for option, given in (
-            ("--paper", args.paper),
-            ("--no-animation", args.no_animation),
-            ("--rival", args.rival),
-        ):
-            if given:
-                raise InputError(f"{option}: has no effect with --index; remove it")
+        for name in ("paper", "no_animation", "rival"):
+            if getattr(args, name):
+                raise InputError(f"--{name.replace('_', '-')}: has no effect with --index; remove it")
         print(make_index(args.folders, output(args)))
         return 0
     page = make_report(

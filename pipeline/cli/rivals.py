@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.cli.arguments import pose
+from turtlebag.pipeline.cli.arguments import pose, repeated
 
 if TYPE_CHECKING:
     from turtlebag.datasets.rivals import RivalFiles
@@ -24,9 +24,7 @@ def add_rival_options(parser: argparse.ArgumentParser) -> None:
         ("times", "FILE", "times of its KITTI poses in seconds, one per line (default: those of the scans)"),
         ("shift", "SECONDS", "seconds to add to its stamps"),
     ):
-        parser.add_argument(
-            f"--rival-{name}", action="append", default=[], metavar=f"[NAME=]{value}", help=text
-        )
+        repeated(parser, f"--rival-{name}", f"[NAME=]{value}", text)
 
 
 def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, output, seed
+from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, flag, option, output, seed
 
 if TYPE_CHECKING:
     from socket import socket
@@ -29,39 +29,23 @@ LIVE = (*SIMULATED, "bag", "port", "host")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument(
-        "--world", metavar="W", help=f"world: a name or a YAML or SDF file (default: {WORLD})"
-    )
-    parser.add_argument(
-        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
-    )
-    parser.add_argument("--seed", type=seed, metavar="N", help=f"random seed (default: {SEED})")
+    option(parser, "--world", "W", f"world: a name or a YAML or SDF file (default: {WORLD})")
+    option(parser, "--robot", "R", "robot: a name or a YAML file (default: the world's own)")
+    option(parser, "--seed", "N", f"random seed (default: {SEED})", seed)
     add_map(parser, "start", required=False)
-    parser.add_argument(
-        "--bag", type=Path, metavar="BAG", help="bag or log to play and map, in place of a simulation"
+    option(parser, "--bag", "BAG", "bag or log to play and map, in place of a simulation", Path)
+    option(parser, "--port", "P", "port of the page (default: a free one)", _port)
+    text = (
+        "address to listen at (default: this machine only); with another, whoever knows the page's "
+        "address can drive"
     )
-    parser.add_argument("--port", type=_port, metavar="P", help="port of the page (default: a free one)")
-    parser.add_argument(
-        "--host",
-        metavar="H",
-        help="address to listen at (default: this machine only); with another, whoever knows the page's "
-        "address can drive",
-    )
-    parser.add_argument(
-        "--no-browser", action="store_true", help="only print the page's address, do not open it"
-    )
-    parser.add_argument(
-        "--replay",
-        type=Path,
-        metavar="FILE",
-        help="replay a session.yaml without a page; needs --out",
-    )
+    option(parser, "--host", "H", text)
+    flag(parser, "--no-browser", "only print the page's address, do not open it")
+    text = "replay a session.yaml without a page; needs --out"
+    option(parser, "--replay", "FILE", text, Path)
     add_config(parser)
-    add_output(
-        parser,
-        "folder for everything that is saved (default: data/studio/WORLD-ROBOT-SEED)",
-        required=False,
-    )
+    text = "folder for everything that is saved (default: data/studio/WORLD-ROBOT-SEED)"
+    add_output(parser, text, required=False)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,31 +6,22 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, output
+from turtlebag.pipeline.cli.arguments import add_output, option, output
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag sweep`."""
-    parser.add_argument("campaign", metavar="FILE", help="campaign file, or the name of a built-in study")
+    option(parser, "campaign", "FILE", "campaign file, or the name of a built-in study")
     add_output(parser, required=False)
-    parser.add_argument(
-        "--store",
-        metavar="URL",
-        help="storage for the workers' results: a folder or an fsspec URL, s3://BUCKET/... (default: --out)",
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="address of a running Dask scheduler (tcp://...), or `threads` to run in this process",
-    )
-    parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one per core)")
-    parser.add_argument(
-        "--query",
-        metavar="SQL",
-        help="run an SQL query on the table `runs` of a finished sweep; FILE is then its folder or its store",
-    )
+    text = "storage for the workers' results: a folder or an fsspec URL, s3://BUCKET/... (default: --out)"
+    option(parser, "--store", "URL", text)
+    text = "address of a running Dask scheduler (tcp://...), or `threads` to run in this process"
+    option(parser, "--scheduler", "ADDRESS", text)
+    option(parser, "--workers", "N", "local processes (default: one per core)", int)
+    text = "run an SQL query on the table `runs` of a finished sweep; FILE is then its folder or its store"
+    option(parser, "--query", "SQL", text)
 
 
 def run(args: argparse.Namespace) -> int:

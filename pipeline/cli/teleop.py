@@ -5,7 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 
-from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, output, start_of
+from turtlebag.pipeline.cli.arguments import (
+    add_config,
+    add_output,
+    add_world,
+    flag,
+    option,
+    output,
+    start_of,
+)
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
@@ -14,15 +22,10 @@ EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/m
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_world(parser, 1)
-    parser.add_argument("--view", action="store_true", help="draw the scan and the map as it grows")
-    parser.add_argument(
-        "--style",
-        choices=("keys", "turtlebot3"),
-        default="keys",
-        help="keys: W A S D (default); turtlebot3: the keys of turtlebot3_teleop",
-    )
-    text = "speed relative to real time (default: 1)"
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help=text)
+    flag(parser, "--view", "draw the scan and the map as it grows")
+    text = "keys: W A S D (default); turtlebot3: the keys of turtlebot3_teleop"
+    parser.add_argument("--style", choices=("keys", "turtlebot3"), default="keys", help=text)
+    option(parser, "--speed", "X", "speed relative to real time (default: 1)", float, default=1.0)
     add_config(parser)
     add_output(parser)
 

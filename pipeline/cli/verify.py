@@ -8,23 +8,16 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.cli.arguments import flag, option
 
 EXAMPLE = "turtlebag verify data/report"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag verify`."""
-    parser.add_argument("report", type=Path, metavar="REPORT", help="folder that report wrote")
-    parser.add_argument(
-        "--only",
-        metavar="KEY",
-        help="check one number, named as on the page: WORLD/STAGE:PATH",
-    )
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="skip the numbers that need map, localise or plan to run again",
-    )
+    option(parser, "report", "REPORT", "folder that report wrote", Path)
+    option(parser, "--only", "KEY", "check one number, named as on the page: WORLD/STAGE:PATH")
+    flag(parser, "--quick", "skip the numbers that need map, localise or plan to run again")
 
 
 def run(args: argparse.Namespace) -> int:

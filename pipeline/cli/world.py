@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, epilog
+from turtlebag.pipeline.cli.arguments import add_output, epilog, option
 
 EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 
@@ -17,10 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions.add_parser("list", help=text, **epilog("turtlebag world list"))
     text = "draw a world as a PNG"
     show = actions.add_parser("show", help=text, description=f"D{text[1:]}.", **epilog(EXAMPLE))
-    show.add_argument("world", metavar="W", help="world: a name or a YAML or SDF file")
-    show.add_argument(
-        "--robot", metavar="R", help="robot whose lidar height is drawn (default: the world's own)"
-    )
+    option(show, "world", "W", "world: a name or a YAML or SDF file")
+    option(show, "--robot", "R", "robot whose lidar height is drawn (default: the world's own)")
     add_output(show, "picture to write", what="PNG")
 
 
