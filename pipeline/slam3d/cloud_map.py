@@ -15,8 +15,6 @@ FRINGE = 2.5
 """A voxel with so many times the points of its neighbour is the surface, the neighbour its fringe."""
 LIMIT = 1 << 20
 """Voxels on each side of the origin along an axis."""
-
-
 MIN_POINTS, NEIGHBOURS, OUTLIER = 3, 12, 3.0
 """Voxels with fewer points are noise or passed by once; Open3D's statistical outlier removal: its neighbours,
 and its width in standard deviations."""

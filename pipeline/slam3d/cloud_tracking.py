@@ -7,7 +7,6 @@ and says so by its small overlap.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -85,13 +84,8 @@ class Tracker:
         self._anchor: Array = start
         self._twist = np.zeros(6)
 
-    def run(self, sweeps: Iterable[tuple[int, Sweep]]) -> Track3d:
-        """Track all clouds."""
-        for index, sweep in sweeps:
-            self._add(index, sweep)
-        return self.track
-
-    def _add(self, index: int, sweep: Sweep) -> None:
+    def add(self, index: int, sweep: Sweep) -> None:
+        """Track one more cloud."""
         track = self.track
         guesses = self._guesses(index)
         track.usable[index] = len(sweep.points) >= LEAST_POINTS
@@ -115,7 +109,7 @@ class Tracker:
             return Fit(guesses[0], np.zeros((6, 6)), 1.0, 0.0), guesses[0]
         points = sweep.deskewed(self._twist)
         tried = [(self._registered(sweep, points, guess), guess) for guess in guesses]
-        return max(tried, key=lambda one: self._score(one[0]))
+        return max(tried, key=lambda one: one[0].overlap - 0.1 * one[0].rmse / KERNEL_M)
 
     def _guesses(self, index: int) -> list[Array]:
         """Predicted poses, the most trusted first."""
@@ -128,7 +122,8 @@ class Tracker:
         if T_odom is None:
             return [steady]
         driven = before @ se3.inverse(T_odom[index - 1]) @ T_odom[index]
-        return [driven, steady] if self._disagree(driven, steady) else [driven]
+        apart = np.abs(se3.log(se3.inverse(driven) @ steady))
+        return [driven, steady] if apart.max() > APART else [driven]
 
     def _registered(self, sweep: Sweep, points: Array, guess: Array) -> Fit:
         if self._kiss is not None:
@@ -137,13 +132,6 @@ class Tracker:
         if sweep.span is not None:
             return self._fitted_in_time(sweep, sweep.span, guess)
         return self._fit(thinned(points, FIT_POINTS), guess, prior=AT_ONCE)
-
-    def _score(self, found: Fit) -> float:
-        return found.overlap - 0.1 * found.rmse / KERNEL_M
-
-    def _disagree(self, T_a: Array, T_b: Array) -> bool:
-        apart = np.abs(se3.log(se3.inverse(T_a) @ T_b))
-        return bool(apart.max() > APART)
 
     def _fit(self, points: Array, T: Array, **more: Any) -> Fit:
         assert self._surfels is not None

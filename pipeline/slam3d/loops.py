@@ -12,10 +12,11 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
@@ -37,10 +38,9 @@ SUPPORT = 2
 MIN_OVERLAP, MAX_TILT_RAD = 0.6, 0.1
 
 
-class Loop3dConfig(BaseModel):
+class Loop3dConfig(Settings):
     """Loop closure."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
     appearance: bool = Field(default=True, description="look for places beyond the gate by scan context")
     every: int = Field(default=3, gt=0, description="keys between queries")

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_closure import Progress
@@ -37,10 +38,9 @@ MAP_VOXELS = 1.0 / 6.0
 """The voxel of the map, in voxels of the surfels."""
 
 
-class Slam3dConfig(BaseModel):
+class Slam3dConfig(Settings):
     """Everything that shapes a 3D map."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "both"
     front_end: FrontEnd3d = Field(
         default="surfels", description="what places each cloud: our surfels, KISS-ICP, or the odometry"
@@ -91,7 +91,10 @@ def run_slam_3d(
         steps = progress(range(len(recording)), text, len(recording))
         return (sweep for _, sweep in zip(steps, clouds, strict=False))
 
-    track = Tracker(recording, setup, config.front_end).run(sweeps("matching clouds"))
+    tracker = Tracker(recording, setup, config.front_end)
+    for index, sweep in sweeps("matching clouds"):
+        tracker.add(index, sweep)
+    track = tracker.track
     if not track.keys:
         raise InputError(f"{recording.source}: no cloud holds enough points to map with")
     steps = step_constraints(track)

@@ -9,22 +9,22 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.occupancy import MAX_COUNTED, Counts, OccupancyConfig, classify, trace, trimmed
 
 SLICE_REACH_M = 20.0
 """Beams are used up to here."""
 
 
-class SliceConfig(BaseModel):
+class SliceConfig(Settings):
     """The slice; heights over the floor."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     low_m: float = Field(default=0.1, description="the floor and its noise lie below this")
     high_m: float = Field(default=0.3, description="what is higher is no obstacle")
     grid: OccupancyConfig = OccupancyConfig()

@@ -16,8 +16,6 @@ from turtlebag.datasets.types import Recording3D
 
 KNOTS = 9
 """Samples of the odometry over a sweep: 25 ms apart for a lidar of 5 turns a second."""
-
-
 MIN_RANGE_M, MAX_RANGE_M = 0.3, 100.0
 """Nearer points may be the robot itself, farther ones are not used."""
 MOST_POINTS = 60_000
@@ -43,14 +41,12 @@ class Sweep:
         assert self._times is not None
         return np.ascontiguousarray((self._times - self._start) / (self._end - self._start))
 
-    def deskewed(self, twist: Array | None) -> Array:
+    def deskewed(self, twist: Array) -> Array:
         """Points (n, 3) at the stamp; `twist` (6,) a second is used where odometry does not tell."""
-        knots = self._knots
         if self._times is None:
             return self.points
+        knots = self._knots
         if knots is None:
-            if twist is None:
-                return self.points
             knots = np.linspace(self._start, self._end, 2)[:, None] * twist
         return deskewed_points(self.points, self.when(), knots)
 
