@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import checked, find_named, read_mapping
@@ -36,27 +36,26 @@ class Uniform(Settings):
 Levels = list[Scalar] | Range | Uniform | dict[str, str]
 
 
+def _known(unit: str) -> str:
+    if unit not in UNITS:
+        raise ValueError(f"unit {unit}: known are {', '.join(UNITS)}")
+    return unit
+
+
+Unit = Annotated[str, AfterValidator(_known)]
+
+
 class Result(Settings):
     """A number to keep: `at` is `stage:path` in that stage's metrics.json; how it is called and shown."""
 
     at: str
     label: str = ""
-    unit: str = "plain"
+    unit: Unit = "plain"
 
     @model_validator(mode="before")
     @classmethod
     def _short(cls, data: Any) -> Any:
         return {"at": data} if isinstance(data, str) else data
-
-    @model_validator(mode="after")
-    def _unit_is_known(self) -> Result:
-        _check_unit(self.unit)
-        return self
-
-
-def _check_unit(unit: str) -> None:
-    if unit not in UNITS:
-        raise ValueError(f"unit {unit}: known are {', '.join(UNITS)}")
 
 
 class Figure(Settings):
@@ -71,7 +70,7 @@ class Figure(Settings):
     lines: str | None = None
     panels: str | None = None
     title: str = ""
-    unit: str | None = None
+    unit: Unit | None = None
     log: bool = False
 
 
@@ -138,8 +137,6 @@ class Campaign(Settings):
         for figure in self.figures:
             if figure.y not in self.results:
                 raise ValueError(f"{figure.y} is not a result of this campaign")
-            if figure.unit is not None:
-                _check_unit(figure.unit)
         self._levels_are_there()
         return self
 

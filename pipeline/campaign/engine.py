@@ -24,11 +24,9 @@ AHEAD = 8
 @contextmanager
 def _client(scheduler: str | None, workers: int | None, scratch: Path) -> Iterator[Any]:
     """A Dask client; the local cluster has one single-threaded worker a core and no dashboard."""
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise InputError("campaigns need Dask: run `make setup` again, or pip install distributed") from None
+    import dask
+    from distributed import Client, LocalCluster
+
     logging.getLogger("distributed").setLevel(logging.ERROR)
     dask.config.set({"distributed.scheduler.allowed-failures": 1})
     if scheduler not in (None, THREADS):

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,25 +20,14 @@ RESULTS = "results"
 INDEX = "results.json"
 
 
-@contextmanager
-def _duckdb() -> Iterator[tuple[Any, Any]]:
-    try:
-        import duckdb
-    except ImportError:
-        raise InputError("campaigns need DuckDB: run `make setup` again, or pip install duckdb") from None
-    connection = duckdb.connect()
-    try:
-        yield connection, duckdb.Error
-    finally:
-        connection.close()
-
-
 def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) -> None:
     """Put the rows into the store, a file for each level of the column `partition`.
 
     Columns are the keys of all rows. What is left of an earlier table goes.
     """
-    with tempfile.TemporaryDirectory(prefix="turtlebag-") as folder, _duckdb() as (connection, problem):
+    import duckdb
+
+    with tempfile.TemporaryDirectory(prefix="turtlebag-") as folder, duckdb.connect() as connection:
         lines, tree = Path(folder, "rows.ndjson"), Path(folder, RESULTS)
         columns = list(dict.fromkeys(key for row in rows for key in row))
         with lines.open("w") as file:
@@ -51,7 +40,7 @@ def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) ->
             connection.execute(f"CREATE TABLE runs AS SELECT * FROM {source}")
             types = {name: kind for name, kind, *_ in connection.execute("DESCRIBE runs").fetchall()}
             connection.execute(f"COPY runs TO '{_quoted(tree)}' ({split})")
-        except problem as error:
+        except duckdb.Error as error:
             raise InputError(f"{store.url}: the table cannot be written ({_first_line(error)})") from None
         files = sorted(path for path in tree.rglob("*.parquet"))
         names = [path.relative_to(folder).as_posix() for path in files]
@@ -67,6 +56,8 @@ def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) ->
 def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """(column names, rows) of a query in which the table is called `runs`; InputError for bad SQL, and for a
     store without a table."""
+    import duckdb
+
     content = None
     with or_else(f"{store.url}: cannot be read"), suppress(NotADirectoryError):
         content = store.read(INDEX)
@@ -74,7 +65,7 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         raise InputError(f"{store.url}: not a finished sweep (it has no {INDEX})")
     index = json.loads(content)
     partition, columns = index["partition"], index["columns"]
-    with _duckdb() as (connection, problem):
+    with duckdb.connect() as connection:
         try:
             files = ", ".join(f"'{_quoted(path)}'" for path in _paths(connection, store, index["files"]))
             kind = f"hive_partitioning = true, hive_types = {{{_column(partition)}: {columns[partition]}}}"
@@ -84,7 +75,7 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
             if result is None or result.description is None:
                 raise InputError("query: it is empty; for example: SELECT * FROM runs")
             return [column[0] for column in result.description], result.fetchall()
-        except problem as error:
+        except duckdb.Error as error:
             raise InputError(f"query: {_first_line(error)}") from None
 
 
