@@ -30,17 +30,6 @@ FAR_M = 0.02
 """Where a closed loop moves the robot by this, the path behind it has moved, too."""
 
 
-class Hands:
-    """Who drives by hand: what was asked for last holds."""
-
-    def __init__(self) -> None:
-        self.command: Twist | None = None
-
-    def asked(self, stamp_ns: int) -> Twist | None:
-        """The speed asked for; None while nobody drives by hand."""
-        return self.command
-
-
 @dataclass(frozen=True, eq=False)
 class Room:
     """What outlasts a reset."""
@@ -68,9 +57,9 @@ class Run:
         robot, config = setup.spec, setup.config
         room.publisher.grid = room.publisher.path = None
         self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), room.publisher))
-        self.hands = Hands()
-        monitor = CollisionMonitor(robot.model)
-        self.owner = CommandOwner(self.pilot, robot.model, self.hands, monitor)
+        self.by_hand: Twist | None = None
+        """What was asked for by hand last, which holds; None while nobody drives so."""
+        self.owner = CommandOwner(self.pilot, robot.model, self, CollisionMonitor(robot.model))
         self.visuals = Visuals(self.pilot)
         self.command = Twist()
         self.doing = ""
@@ -98,6 +87,10 @@ class Run:
     def T_map_base(self) -> SE2:
         """Where the robot takes itself to be; by odometry alone while nothing else is known."""
         return self.pilot.T_map_odom @ self.observation.odometry.T_odom_base
+
+    def asked(self, stamp_ns: int) -> Twist | None:
+        """The speed asked for by hand (see `CommandOwner`)."""
+        return self.by_hand
 
     def say(self, text: str, level: Level = "info") -> None:
         """A line for the event log."""

@@ -60,7 +60,7 @@ class Session(Sitting):
         """One control period; nothing once the session is over."""
         if self.ended:
             return
-        self._journal.tick(self.stamp_ns, self._run.hands.command)
+        self._journal.tick(self.stamp_ns, self._run.by_hand)
         self._run.tick()
         self._step += 1
         if self.stamp_ns >= LONGEST_S * 1e9:
@@ -86,7 +86,7 @@ class Session(Sitting):
     def _done(self, entry: Input) -> str:
         if entry.do in DRIVING:
             asked = Twist(entry.v, entry.w) if isinstance(entry, Drive) else Twist()
-            self._run.hands.command = None if entry.do == "release" else asked
+            self._run.by_hand = None if entry.do == "release" else asked
             return ""
         if isinstance(entry, Save) and entry.do == "record":
             return self._record(entry.name)
