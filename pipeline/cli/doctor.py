@@ -86,35 +86,26 @@ def _pybullet() -> str:
     return version("pybullet")
 
 
+PACKAGES = (
+    "numpy", "scipy", "numba", "pydantic", "pyyaml", "rich", "kiss-icp", "rosbags", "mcap", "zstandard",
+    "lz4", "pooch", "ompl", "matplotlib", "pillow", "jinja2", "dask", "tornado", "distributed", "fsspec",
+    "duckdb", "shtab",
+)  # fmt: skip
+MODULES = {
+    "pyyaml": "yaml",
+    "kiss-icp": "kiss_icp.pybind.kiss_icp_pybind",
+    "rosbags": "rosbags.highlevel",
+    "mcap": "mcap.reader",
+    "lz4": "lz4.frame",
+    "ompl": "ompl.geometric",
+    "matplotlib": "matplotlib.figure",
+    "pillow": "PIL.Image",
+    "tornado": "tornado.web",
+}
+"""What to import of a package whose own name is not it."""
 CHECKS: dict[str, Callable[[], str]] = {
     "python": _python,
-    **{
-        package: _imports(module, package)
-        for package, module in {
-            "numpy": "numpy",
-            "scipy": "scipy",
-            "numba": "numba",
-            "pydantic": "pydantic",
-            "pyyaml": "yaml",
-            "rich": "rich",
-            "kiss-icp": "kiss_icp.pybind.kiss_icp_pybind",
-            "rosbags": "rosbags.highlevel",
-            "mcap": "mcap.reader",
-            "zstandard": "zstandard",
-            "lz4": "lz4.frame",
-            "pooch": "pooch",
-            "ompl": "ompl.geometric",
-            "matplotlib": "matplotlib.figure",
-            "pillow": "PIL.Image",
-            "jinja2": "jinja2",
-            "dask": "dask",
-            "tornado": "tornado.web",
-            "distributed": "distributed",
-            "fsspec": "fsspec",
-            "duckdb": "duckdb",
-            "shtab": "shtab",
-        }.items()
-    },
+    **{package: _imports(MODULES.get(package, package), package) for package in PACKAGES},
     "gtsam": _gtsam,
     "open3d": _open3d,
     "pybullet": _pybullet,
