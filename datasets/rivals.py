@@ -22,6 +22,8 @@ OURS, TRUTH = "TurtleBag", "truth"
 FEWEST = 3
 """Poses that a trajectory must have to be laid on another."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
+PATHS = ("trajectory", "map", "times")
+"""What a rival may have a file of."""
 IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg")
 LONGEST_S = 4e9
 OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -57,14 +59,18 @@ class RivalFiles:
             raise InputError(f"{self.name}: this name is taken; give the rival another")
         if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
             raise InputError(f"{self.name} has no trajectory")
-        for what, path in (("trajectory", self.trajectory), ("map", self.map), ("times", self.times)):
+        for what, path in self.paths.items():
             if path is not None and path.is_dir():
                 raise InputError(f"{path}: is a folder; give the file of the {what} in it")
             if path is not None and path.suffix.lower() in IMAGES:
                 raise InputError(f"{path}: is the image of a map; give its yaml file")
-
         if not abs(self.shift_s) < LONGEST_S:
             raise InputError(f"{self.name}: cannot be shifted by {self.shift_s:g} s")
+
+    @property
+    def paths(self) -> dict[str, Path | None]:
+        """Its files by what they are."""
+        return {what: getattr(self, what) for what in PATHS}
 
     @property
     def moved(self) -> bool:
@@ -73,8 +79,7 @@ class RivalFiles:
 
     def inputs(self) -> dict[str, Path]:
         """Every file that is read, by what it is."""
-        found = {"trajectory": self.trajectory, "times": self.times}
-        files = {what: path for what, path in found.items() if path is not None}
+        files = {what: path for what, path in self.paths.items() if path is not None and what != "map"}
         return files | (map_files(self.map) if self.map is not None else {})
 
 

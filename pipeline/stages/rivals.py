@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.rivals import OURS, RivalFiles, System, load_rival
+from turtlebag.datasets.rivals import OURS, PATHS, RivalFiles, System, load_rival
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.pipeline.stages.map_references import References
@@ -77,19 +77,13 @@ def inputs_of(files: Sequence[RivalFiles]) -> dict[str, Path]:
 
 def remembered(files: Sequence[RivalFiles], out: Path) -> list[dict[str, Any]]:
     """What a manifest says of the rivals, their files as seen from `out`."""
-
-    def seen(path: Path | None) -> str | None:
-        return None if path is None else os.path.relpath(path, out)
-
     return [
-        RivalEntry(
-            name=one.name,
-            trajectory=seen(one.trajectory),
-            map=seen(one.map),
-            times=seen(one.times),
-            base=one.T_base_sensor.xyt.tolist(),
-            shift_s=one.shift_s,
-        ).model_dump()
+        {
+            "name": one.name,
+            **{what: path and os.path.relpath(path, out) for what, path in one.paths.items()},
+            "base": one.T_base_sensor.xyt.tolist(),
+            "shift_s": one.shift_s,
+        }
         for one in files
     ]
 
@@ -106,11 +100,9 @@ def recalled(manifest: Manifest, out: Path) -> list[RivalFiles]:
     return [
         RivalFiles(
             one.name,
-            found(one, "trajectory"),
-            found(one, "map"),
-            found(one, "times"),
-            SE2.from_xyt(*one.base),
-            one.shift_s,
+            **{what: found(one, what) for what in PATHS},
+            T_base_sensor=SE2.from_xyt(*one.base),
+            shift_s=one.shift_s,
         )
         for one in manifest.rivals
     ]
