@@ -39,7 +39,7 @@ class Output:
     def __init__(self, path: PathLike) -> None:
         self.path = path_of(path, "path")
         """Where it lies."""
-        self.stage = self._load()
+        self.stage: Stage | None = self._load()
         """Its manifest, configuration and files; None where it is no output of ours."""
 
     def __fspath__(self) -> str:
@@ -75,11 +75,9 @@ class Output:
     def _mood_and_verdict(self) -> tuple[str, str]:
         from turtlebag.reports.content import stage_metrics, verdict
 
-        return (
-            ("neutral", str(self.path))
-            if self.stage is None
-            else verdict(self.stage, stage_metrics(self.stage))
-        )
+        if self.stage is None:
+            return "neutral", str(self.path)
+        return verdict(self.stage, stage_metrics(self.stage))
 
     @property
     def _temporary(self) -> bool:

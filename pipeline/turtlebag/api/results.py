@@ -27,11 +27,13 @@ Part = TypeVar("Part", bound=Output)
 
 
 class _OnAMap(Output):
-    """An output that was made with a map given."""
+    """An output of ours that was made with a map given."""
+
+    stage: Stage
 
     @cached_property
     def _given_map(self) -> OccupancyGrid | None:
-        path = None if self.stage is None else self.stage.input_paths().get("map")
+        path = self.stage.input_paths().get("map")
         return load_map(path) if path is not None and path.is_file() else None
 
 
@@ -54,12 +56,12 @@ class Run(_OnAMap):
     @property
     def trajectory(self) -> Trajectory | None:
         """The robot's estimate at the scans; without a map its odometry. None before the first scan."""
-        return None if self.stage is None else optional(self.stage.trajectory, "map")
+        return optional(self.stage.trajectory, "map")
 
     @property
     def truth(self) -> Trajectory | None:
         """True poses at the scans, in the world. None before the first scan."""
-        return None if self.stage is None else optional(self.stage.truth, "world")
+        return optional(self.stage.truth, "world")
 
     @cached_property
     def log(self) -> Table:
@@ -84,8 +86,7 @@ class Run(_OnAMap):
         return part
 
     def _title(self) -> str:
-        stage = self.stage
-        return "Run" if stage is None else f"{str(stage.fact('task')).capitalize()} of {stage.fact('robot')}"
+        return f"{str(self.stage.fact('task')).capitalize()} of {self.stage.fact('robot')}"
 
     def _facts(self) -> dict[str, str]:
         found = self.metrics
@@ -100,7 +101,6 @@ class Run(_OnAMap):
         from turtlebag.api.pictures import scene
 
         stage = self.stage
-        assert stage is not None
         grid = next((one for one in (self._given_map, stage.map, stage.true_map) if one is not None), None)
         believed = "estimate" if self.metrics.get("localisation_error_m") else "odometry"
         paths = {"truth": stage.truth, believed: stage.trajectory}
@@ -120,7 +120,6 @@ class Localisation(_OnAMap):
     @property
     def trajectory(self) -> Trajectory:
         """Poses of the base as known at each scan, (n, 3) in the map's frame; odometry if rejected."""
-        assert self.stage is not None
         assert self.stage.trajectory is not None
         return Trajectory.of(self.stage.trajectory)
 
