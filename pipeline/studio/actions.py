@@ -15,8 +15,8 @@ from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
 from turtlebag.pipeline.navigation.setup import DEFAULT_EXPLORE_S, MAX_SIMULATED_S, SINGLE_GOAL, require_floor
 from turtlebag.pipeline.studio import inputs
+from turtlebag.pipeline.studio.pilot import Task, WiggleDriver, changes_only
 from turtlebag.pipeline.studio.run import Run
-from turtlebag.pipeline.studio.tasks import Task, WiggleDriver, changes_only
 from turtlebag.pipeline.terminal.messages import number_of
 from turtlebag.planners.costmap import Costmap, costmap_from_grid, polygon_mask
 from turtlebag.planners.tasks.sequence import GoalSequence

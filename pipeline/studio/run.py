@@ -16,11 +16,10 @@ from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.pipeline.studio.library import Library
-from turtlebag.pipeline.studio.pilot import Pilot
+from turtlebag.pipeline.studio.pilot import Pilot, Task, WiggleDriver
 from turtlebag.pipeline.studio.publisher import Publisher
 from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.tasks import Task, WiggleDriver
 from turtlebag.pipeline.studio.view import Level
 from turtlebag.pipeline.studio.visuals import EventLog, Trail, Visuals
 from turtlebag.planners.control.monitor import CollisionMonitor

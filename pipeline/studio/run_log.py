@@ -16,7 +16,7 @@ from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.takeover import CommandOwner
-from turtlebag.pipeline.studio.tasks import Task
+from turtlebag.pipeline.studio.pilot import Task
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.simulator import Simulator
 

@@ -97,13 +97,8 @@ class Studio:
             self._driver = viewer
         elif viewer is not self._driver:
             viewer.error = WATCHING
-        elif isinstance(asked, Turn):
-            if asked.do == "step":
-                self._thread.step()
-            else:
-                self._thread.pause(asked.do == "pause")
-        elif isinstance(asked, Speed):
-            self._thread.speed(asked.factor)
+        elif isinstance(asked, Turn | Speed):
+            self._thread.control(asked)
         else:
             self._thread.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Plain
+from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Plain, Speed, Turn
 from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
@@ -88,17 +88,9 @@ class SessionThread:
         at = time.monotonic()
         self._todo.put(lambda: self._take(entry, at, refused))
 
-    def pause(self, paused: bool) -> None:
-        """Let the simulated time stand still, or go on."""
-        self._todo.put(lambda: self._pause(paused))
-
-    def step(self) -> None:
-        """One tick while the time stands still."""
-        self._todo.put(self._step)
-
-    def speed(self, factor: float) -> None:
-        """Simulated seconds a second; 0: as many as there can be."""
-        self._todo.put(lambda: self._speed(factor))
+    def control(self, asked: Turn | Speed) -> None:
+        """Let the simulated time stand still, go on, do one tick, or pass at another speed."""
+        self._todo.put(lambda: self._control(asked))
 
     def want_view(self) -> None:
         """Have the next view shown that is due; until then, none is made."""
@@ -187,15 +179,15 @@ class SessionThread:
         if self._drive is not None and time.monotonic() - self._driven > HEARTBEAT_S:
             self._apply(Plain(do="stop"), log.warning)
 
-    def _pause(self, paused: bool) -> None:
-        self._paused, self._steps, self._due = paused, 0, time.monotonic()
-        self._ticks.clear()
-
-    def _step(self) -> None:
-        self._steps += self._paused
-
-    def _speed(self, factor: float) -> None:
-        self._asked, self._due = factor, time.monotonic()
+    def _control(self, asked: Turn | Speed) -> None:
+        if asked.do == "step":
+            self._steps += self._paused
+            return
+        if isinstance(asked, Speed):
+            self._asked = asked.factor
+        else:
+            self._paused, self._steps = asked.do == "pause", 0
+        self._due = time.monotonic()
         self._ticks.clear()
 
     def _count(self) -> None:

@@ -15,8 +15,7 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.studio.pilot import Pilot
-from turtlebag.pipeline.studio.tasks import Task
+from turtlebag.pipeline.studio.pilot import Pilot, Task
 from turtlebag.pipeline.studio.view import (
     CostLayer,
     Event,
