@@ -25,11 +25,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The actions and theirs."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
 
-    def action(name: str, act: Callable[[argparse.Namespace], int], text: str, example: str) -> _Parser:
+    def action(
+        name: str, act: Callable[[argparse.Namespace], int], text: str, example: str
+    ) -> argparse.ArgumentParser:
         told = f"{text[0].upper()}{text[1:]}."
         sub = actions.add_parser(name, help=text, description=told, **epilog(example))
         option(sub, "bag", "BAG", "record folder, bag folder or bag file", Path)
-        sub.set_defaults(act=act)
+        sub.set_defaults(run=act)
         return sub
 
     action("info", _info, "show topics, counts, rates and gaps", "turtlebag bag info data/record")
@@ -66,14 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     repeated(sub, "--exclude", "TOPIC", "topic to leave out; may be repeated")
 
 
-_Parser = argparse.ArgumentParser
 STATUS_ROWS = 3
 """What is said below the drawing of a player takes two lines of a narrow terminal, and the cursor one."""
-
-
-def run(args: argparse.Namespace) -> int:
-    """Do the action."""
-    return int(args.act(args))
 
 
 def _info(args: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="list|fetch", required=True)
     text = "list the logs with their contents, licences and citations"
     listing = actions.add_parser("list", help=text, **epilog("turtlebag data list"))
-    listing.set_defaults(act=_list)
+    listing.set_defaults(run=_list)
     fetching = actions.add_parser(
         "fetch",
         help=f"fetch a log from the folder {MIRROR_VARIABLE} or the network, verify it and print its paths",
@@ -23,12 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     text = "name of a log, as `turtlebag data list` shows it"
     option(fetching, "names", "NAME", text, nargs="+")
-    fetching.set_defaults(act=_fetch)
-
-
-def run(args: argparse.Namespace) -> int:
-    """Do the action."""
-    return int(args.act(args))
+    fetching.set_defaults(run=_fetch)
 
 
 def _list(args: argparse.Namespace) -> int:

@@ -21,26 +21,26 @@ from turtlebag.pipeline.cli.arguments import epilog, named_inputs
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
 
-# verb -> (module in turtlebag.pipeline.cli, what `turtlebag --help` says). A module has `EXAMPLE`,
-# `add_arguments(parser)` and `run(args) -> int`; it is imported only when its verb is used.
-VERBS: dict[str, tuple[str, str]] = {
-    "record": ("record", "drive a simulated robot with a script and record a bag"),
-    "teleop": ("teleop", "drive with the keyboard and record a bag"),
-    "studio": ("studio", "open a simulated robot in the browser: drive, map, set goals"),
-    "map": ("map", "build a map from a bag or log"),
-    "localise": ("localise", "localise a recorded robot on a map"),
-    "navigate": ("navigate", "run a task in closed loop: patrol, goal, avoid or explore"),
-    "plan": ("plan", "plan a path on a map"),
-    "report": ("report", "make an HTML report from the outputs of other commands"),
-    "compare": ("compare", "compare two outputs of the same command, or ours with another system's"),
-    "sweep": ("sweep", "run a campaign of many cases on all cores; interrupted campaigns resume"),
-    "blame": ("blame", "map a recording with chosen parts replaced by ground truth (ablation)"),
-    "verify": ("verify", "recompute a report's numbers from the bags"),
-    "bag": ("bag", "inspect, play, repair and convert bags"),
-    "data": ("data", "list and fetch public logs"),
-    "world": ("world", "list the built-in worlds, or draw one"),
-    "doctor": ("doctor", "check the installation"),
-    "completion": ("completion", "print a script that completes commands in your shell"),
+# What `turtlebag --help` says of each verb. Its module here has `EXAMPLE`, `add_arguments(parser)` and, where
+# that names none for each action, `run(args) -> int`; it is imported only when its verb is used.
+VERBS = {
+    "record": "drive a simulated robot with a script and record a bag",
+    "teleop": "drive with the keyboard and record a bag",
+    "studio": "open a simulated robot in the browser: drive, map, set goals",
+    "map": "build a map from a bag or log",
+    "localise": "localise a recorded robot on a map",
+    "navigate": "run a task in closed loop: patrol, goal, avoid or explore",
+    "plan": "plan a path on a map",
+    "report": "make an HTML report from the outputs of other commands",
+    "compare": "compare two outputs of the same command, or ours with another system's",
+    "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
+    "blame": "map a recording with chosen parts replaced by ground truth (ablation)",
+    "verify": "recompute a report's numbers from the bags",
+    "bag": "inspect, play, repair and convert bags",
+    "data": "list and fetch public logs",
+    "world": "list the built-in worlds, or draw one",
+    "doctor": "check the installation",
+    "completion": "print a script that completes commands in your shell",
 }
 
 EXIT_OK, EXIT_INPUT = 0, 2
@@ -70,17 +70,13 @@ def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
     parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for name, (module, summary) in VERBS.items():
+    for name, summary in VERBS.items():
         if name not in loaded:
             verbs.add_parser(name, help=summary, add_help=False)
             continue
-        command = importlib.import_module(f"turtlebag.pipeline.cli.{module}")
-        sub = verbs.add_parser(
-            name,
-            help=summary,
-            description=summary[0].upper() + summary[1:] + ".",
-            **epilog(command.EXAMPLE),
-        )
+        command = importlib.import_module(f"turtlebag.pipeline.cli.{name}")
+        told = f"{summary[0].upper()}{summary[1:]}."
+        sub = verbs.add_parser(name, help=summary, description=told, **epilog(command.EXAMPLE))
         noise = sub.add_mutually_exclusive_group()
         quiet, verbose = ("show only results and errors", "show more detail")
         noise.add_argument(
@@ -88,7 +84,7 @@ def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
         )
         noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity", help=verbose)
         command.add_arguments(sub)
-        sub.set_defaults(run=command.run, inputs=getattr(command, "inputs", named_inputs))
+        sub.set_defaults(run=getattr(command, "run", None), inputs=getattr(command, "inputs", named_inputs))
     return parser
 
 

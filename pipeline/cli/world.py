@@ -14,20 +14,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
     text = "list the built-in worlds, robots and teleop scripts"
-    actions.add_parser("list", help=text, **epilog("turtlebag world list"))
+    listing = actions.add_parser("list", help=text, **epilog("turtlebag world list"))
+    listing.set_defaults(run=_list)
     text = "draw a world as a PNG"
     show = actions.add_parser("show", help=text, description=f"D{text[1:]}.", **epilog(EXAMPLE))
     option(show, "world", "W", "world: a name or a YAML or SDF file")
     option(show, "--robot", "R", "robot whose lidar height is drawn (default: the world's own)")
     add_output(show, "picture to write", what="PNG")
+    show.set_defaults(run=_show)
 
 
-def run(args: argparse.Namespace) -> int:
-    """List the worlds or draw one."""
-    return _list() if args.action == "list" else _show(args)
-
-
-def _list() -> int:
+def _list(args: argparse.Namespace) -> int:
     from turtlebag.sim.generators import GENERATORS
     from turtlebag.sim.robots import robot_names
     from turtlebag.sim.teleop import script_names
