@@ -107,10 +107,9 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
     if not _shown():
         yield from items
         return
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with _bar(*columns) as bar:
+    with _bar("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
         yield from bar.track(items, total=total, description=description)
 
 
@@ -127,16 +126,10 @@ def simulated_time(total_s: float | None = None) -> Iterator[Simulated]:
     if not _shown():
         yield lambda stamp_ns, doing: None
         return
-    from rich.progress import BarColumn, TextColumn
+    from rich.progress import BarColumn
 
-    clock = "{task.completed:.0f} s" + ("" if total_s is None else " of {task.total:.0f} s")
-    columns = (
-        TextColumn(f"{clock} simulated"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.fields[pace]}"),
-        TextColumn("{task.description}"),
-    )
-    with _bar(*columns) as bar:
+    clock = "{task.completed:.0f} s" + ("" if total_s is None else " of {task.total:.0f} s") + " simulated"
+    with _bar(clock, BarColumn(bar_width=20), "{task.fields[pace]}", "{task.description}") as bar:
         task = bar.add_task("", total=total_s, pace="")
 
         def tell(stamp_ns: int, doing: str) -> None:
@@ -154,10 +147,9 @@ def drawing() -> Iterator[Callable[[str], None]]:
     if not _shown():
         yield lambda title: None
         return
-    from rich.progress import BarColumn, TextColumn
+    from rich.progress import BarColumn
 
-    columns = (TextColumn("figure {task.completed:.0f}"), BarColumn(), TextColumn("{task.description}"))
-    with _bar(*columns) as bar:
+    with _bar("figure {task.completed:.0f}", BarColumn(), "{task.description}") as bar:
         task = bar.add_task("", total=None)
         yield lambda title: bar.update(task, advance=1, description=title)
 
@@ -167,7 +159,7 @@ def _shown() -> bool:
 
 
 @contextmanager
-def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
+def _bar(*columns: str | ProgressColumn) -> Iterator[Progress]:
     """One bar on stderr, gone when done. What is printed is not redirected: stdout may be a file."""
     from rich.console import Console
     from rich.progress import Progress
