@@ -50,16 +50,21 @@ class Solid:
         low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
         return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
+    def radius_at(self, z: float) -> float:
+        """Of its section at height z, where that is a circle [m]."""
+        return self.radius
+
     def outline(self, low: float, high: float) -> tuple[Array, Array]:
         """Segments (n, 4) and circles (m, 3) that bound it between two heights (equal: in that plane)."""
         if self.is_cylinder:
-            return NO_SEGMENTS, np.array([[*self.center, self.radius]])
+            widest = min(max(0.5 * (self.z_min + self.z_max), low), high)
+            return NO_SEGMENTS, np.array([[*self.center, self.radius_at(widest)]])
         return np.hstack([self.polygon, np.roll(self.polygon, -1, axis=0)]), NO_CIRCLES
 
     def inside(self, z: float, points: Array) -> Bools:
         """Which points (n, 2) lie strictly inside it at height z, (n,)."""
         if self.is_cylinder:
-            return np.asarray(np.hypot(*(points - np.array(self.center)).T) < self.radius)
+            return np.asarray(np.hypot(*(points - np.array(self.center)).T) < self.radius_at(z))
         edges = np.roll(self.polygon, -1, axis=0) - self.polygon
         offset = points[:, None] - self.polygon
         return np.all(edges[:, 0] * offset[..., 1] - edges[:, 1] * offset[..., 0] > 0.0, axis=1)
@@ -69,18 +74,10 @@ class Solid:
 class Ball(Solid):
     """A ball whose centre is midway between z_min and z_max; `radius` is its own."""
 
-    def _radius_at(self, z: float) -> float:
+    def radius_at(self, z: float) -> float:
+        """Of its section at height z [m]."""
         up = z - 0.5 * (self.z_min + self.z_max)
         return float(np.sqrt(max(self.radius**2 - up**2, 0.0)))
-
-    def outline(self, low: float, high: float) -> tuple[Array, Array]:
-        """Its widest circle between two heights."""
-        middle = min(max(0.5 * (self.z_min + self.z_max), low), high)
-        return NO_SEGMENTS, np.array([[*self.center, self._radius_at(middle)]])
-
-    def inside(self, z: float, points: Array) -> Bools:
-        """Which points (n, 2) lie strictly inside it at height z, (n,)."""
-        return np.asarray(np.hypot(*(points - np.array(self.center)).T) < self._radius_at(z))
 
 
 @dataclass(frozen=True, eq=False)
