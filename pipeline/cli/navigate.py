@@ -129,12 +129,8 @@ def _refuse_unused(args: argparse.Namespace) -> None:
 
 
 def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
-    if text is None:
-        return None
-    if text == "start":
-        return "start"
-    if text == "global":
-        return "global"
+    if text is None or text in ("start", "global"):
+        return text  # type: ignore[return-value]
     try:
         return pose(text, "--initial-pose")
     except InputError as error:
