@@ -144,7 +144,7 @@ def _zero_or_more_than_a_tenth(factor: float) -> float:
     return factor
 
 
-class Turn(Settings):
+class Button(Settings):
     """Let the simulated time stand still or go on, or one tick pass while it stands; or drive from now on."""
 
     do: Literal["pause", "resume", "step", "take_control"]
@@ -166,7 +166,7 @@ class Layers(Settings):
     layers: Annotated[list[Annotated[str, Field(max_length=64)]], Field(max_length=64)]
 
 
-Control = Turn | Speed | Layers
+Control = Button | Speed | Layers
 
 _INPUTS: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="do")])
 _CONTROLS: TypeAdapter[Control] = TypeAdapter(Annotated[Control, Field(discriminator="do")])

@@ -74,7 +74,7 @@ class Playback(Sitting):
         return self._position_ns
 
     @property
-    def idle(self) -> bool:  # type: ignore[override]
+    def idle(self) -> bool:
         """Whether time stands still: the bag is at its end."""
         return self._scan == len(self._log) - 1
 

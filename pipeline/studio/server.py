@@ -17,7 +17,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
 from turtlebag.pipeline.studio.frames import Frames, bye, hello
-from turtlebag.pipeline.studio.inputs import Control, Input, Layers, Malformed, Speed, Turn, parse_message
+from turtlebag.pipeline.studio.inputs import Button, Control, Input, Layers, Malformed, Speed, parse_message
 from turtlebag.pipeline.studio.session_thread import Pace, SessionThread
 from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
@@ -97,7 +97,7 @@ class Studio:
             self._driver = viewer
         elif viewer is not self._driver:
             viewer.error = WATCHING
-        elif isinstance(asked, Turn | Speed):
+        elif isinstance(asked, Button | Speed):
             self._thread.control(asked)
         else:
             self._thread.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Plain, Speed, Turn
+from turtlebag.pipeline.studio.inputs import DRIVING, Button, Drive, Input, Plain, Speed
 from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
@@ -88,7 +88,7 @@ class SessionThread:
         at = time.monotonic()
         self._todo.put(lambda: self._take(entry, at, refused))
 
-    def control(self, asked: Turn | Speed) -> None:
+    def control(self, asked: Button | Speed) -> None:
         """Let the simulated time stand still, go on, do one tick, or pass at another speed."""
         self._todo.put(lambda: self._control(asked))
 
@@ -179,7 +179,7 @@ class SessionThread:
         if self._drive is not None and time.monotonic() - self._driven > HEARTBEAT_S:
             self._apply(Plain(do="stop"), log.warning)
 
-    def _control(self, asked: Turn | Speed) -> None:
+    def _control(self, asked: Button | Speed) -> None:
         if asked.do == "step":
             self._steps += self._paused
             return

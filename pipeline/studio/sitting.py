@@ -22,8 +22,6 @@ class Sitting(ABC):
     scene: Scene
     period_ns = round(1e9 / CONTROL_HZ)
     """From a tick to the next [ns]."""
-    idle = False
-    """Whether time stands still whatever is asked for."""
 
     def __init__(
         self, header: Header | BagHeader, folder: Path, say: Callable[[str], None], given: Path | None = None
@@ -77,6 +75,11 @@ class Sitting(ABC):
     @abstractmethod
     def stamp_ns(self) -> int:
         """Simulated time since the session began [ns]."""
+
+    @property
+    def idle(self) -> bool:
+        """Whether time stands still whatever is asked for."""
+        return False
 
     @property
     def _told_ns(self) -> int:
