@@ -167,6 +167,15 @@ def pose_of(value: Pose, what: str) -> SE2:
     return SE2.from_xyt(*(float(number) for number in xyt))
 
 
+def told_pose(value: Pose | str | None, *words: str) -> SE2 | str | None:
+    """What the robot is told of its place: a pose, one of the words, or nothing."""
+    if value is None or (isinstance(value, str) and value in words):
+        return value
+    if isinstance(value, str):
+        raise InputError(f"initial_pose: expected x, y, yaw or {' or '.join(words)}, not {value!r}")
+    return pose_of(value, "initial_pose")
+
+
 def pose_text(pose: SE2) -> str:
     """A pose as the command line takes it, every digit kept."""
     return ",".join(repr(float(number)) for number in pose.xyt)

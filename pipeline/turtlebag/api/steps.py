@@ -25,11 +25,12 @@ from turtlebag.api.making import (
     setting_words,
     step,
     text_of,
+    told_pose,
 )
 from turtlebag.api.outputs import Bag, Map, as_map
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
 from turtlebag.api.rivals import Rivals, rival_files, rival_options
-from turtlebag.api.tasks import Avoid, Explore, Patrol, Task, keepout_option, task_options, told_pose
+from turtlebag.api.tasks import Avoid, Explore, Patrol, Task, keepout_option, task_options
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 
-from turtlebag.api.making import PathLike, Pose, in_a_line, list_of, path_of, pose_of, text_of
+from turtlebag.api.making import PathLike, in_a_line, list_of, path_of, pose_of, text_of
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.se2 import SE2
@@ -106,15 +106,6 @@ def keepout_option(given: PathLike | Sequence[Any] | None, folder: Path) -> str 
     outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in areas]
     parse_polygons(outlines, "keepout")
     return os.fspath(_written({"keepout": outlines}, folder / "keepout.yaml")) if outlines else "none"
-
-
-def told_pose(value: Pose | str | None, *words: str) -> SE2 | str | None:
-    """What the robot is told of its place: a pose, one of the words, or nothing."""
-    if value is None or (isinstance(value, str) and value in words):
-        return value
-    if isinstance(value, str):
-        raise InputError(f"initial_pose: expected x, y, yaw or {' or '.join(words)}, not {value!r}")
-    return pose_of(value, "initial_pose")
 
 
 def _seconds(value: float | None, what: str) -> float | None:
