@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,31 +21,19 @@ def is_recording(teleop: str) -> bool:
     return Path(teleop).is_dir() or teleop.endswith(SUFFIXES)
 
 
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """Commands (n,) of a bag: stamps from its first command on [ns], speeds [m/s, rad/s]."""
-
-    stamps_ns: Stamps
-    v: Array
-    w: Array
-
-    @property
-    def label(self) -> str:
-        """What config.yaml calls it: by its content, wherever it lies."""
-        content = (self.stamps_ns.tolist(), self.v.tolist(), self.w.tolist())
-        return f"replay:{sha256_text(repr(content))[:16]}"
-
-    def commands(self) -> Generator[Twist, Truth, None]:
-        """Each command from its stamp on until the next; ends with the last one's."""
-        stamps = self.stamps_ns
-        truth = yield Twist()
-        while truth.stamp_ns < stamps[-1]:
-            now = max(int(np.searchsorted(stamps, truth.stamp_ns, side="right")) - 1, 0)
-            truth = yield Twist(float(self.v[now]), float(self.w[now]))
-
-
-def load_commands(path: Path) -> Replay:
-    """The /cmd_vel of any bag, in order of time; InputError when there is none."""
+def replayed(path: Path) -> tuple[Generator[Twist, Truth, None], str]:
+    """The /cmd_vel of any bag, in order of time, as a driver; and what config.yaml calls it: by its content,
+    wherever it lies. InputError when there is none."""
     stamps, v, w = read_commands(path)
     order = np.argsort(stamps, kind="stable")
-    return Replay(stamps[order] - stamps[order[0]], v[order], w[order])
+    stamps, v, w = stamps[order] - stamps[order[0]], v[order], w[order]
+    content = (stamps.tolist(), v.tolist(), w.tolist())
+    return _driven(stamps, v, w), f"replay:{sha256_text(repr(content))[:16]}"
+
+
+def _driven(stamps: Stamps, v: Array, w: Array) -> Generator[Twist, Truth, None]:
+    """Each command from its stamp on until the next; ends with the last one's."""
+    truth = yield Twist()
+    while truth.stamp_ns < stamps[-1]:
+        now = max(int(np.searchsorted(stamps, truth.stamp_ns, side="right")) - 1, 0)
+        truth = yield Twist(float(v[now]), float(w[now]))

@@ -18,7 +18,7 @@ from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
-from turtlebag.pipeline.stages.bag_commands import is_recording, load_commands
+from turtlebag.pipeline.stages.bag_commands import is_recording, replayed
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.driver import Stuck
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
@@ -61,8 +61,7 @@ def record(scene: Scene, teleop: str, out: Output) -> int:
     own = teleop not in script_names() and Path(teleop).exists()
     inputs = {"teleop": Path(teleop)} if own else {}
     if own and is_recording(teleop):
-        replayed = load_commands(Path(teleop))
-        driver, label = replayed.commands(), replayed.label
+        driver, label = replayed(Path(teleop))
     else:
         driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
     return record_drive(scene, driver, label, out, inputs=inputs)
