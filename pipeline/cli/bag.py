@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, epilog, option, repeated
+from turtlebag.pipeline.cli.arguments import add_output, epilog, option, output, repeated
 from turtlebag.pipeline.terminal.messages import log, log_notes, number_of
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
-    from turtlebag.datasets.outputs import Stopwatch
     from turtlebag.datasets.types import Recording
 
 EXAMPLE = "turtlebag bag info data/record"
@@ -154,12 +153,11 @@ def _play(args: argparse.Namespace) -> int:
 
 def _recover(args: argparse.Namespace) -> int:
     from turtlebag.datasets.bags.recover import recover
-    from turtlebag.datasets.outputs import Stopwatch, staged_output
 
-    watch = Stopwatch()
-    with staged_output(args.out, force=args.force) as folder:
+    out = output(args)
+    with out.staged() as folder:
         saved = recover(args.bag, folder / "bag")
-        _manifest(folder, "bag recover", args, watch)
+        out.finish(folder, "bag recover", {"bag": args.bag})
     log_notes(saved.notes)
     span = (saved.end_ns - saved.start_ns) * 1e-9
     log.info(f"saved {number_of(saved.messages, 'message')} over {span:.2f} s -> {args.out}")
@@ -168,9 +166,8 @@ def _recover(args: argparse.Namespace) -> int:
 
 def _convert(args: argparse.Namespace) -> int:
     from turtlebag.datasets.bags import convert
-    from turtlebag.datasets.outputs import Stopwatch, staged_file, staged_output
+    from turtlebag.datasets.outputs import staged_file
 
-    watch = Stopwatch()
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
     if args.exclude and _is_log(args.bag):
@@ -184,10 +181,11 @@ def _convert(args: argparse.Namespace) -> int:
             count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, exclude=args.exclude)
             convert.require_messages(args.bag, count, notes)
     else:
-        with staged_output(args.out, force=args.force) as folder:
+        out = output(args)
+        with out.staged() as folder:
             count, notes = _to_folder(args, folder / "bag")
             convert.require_messages(args.bag, count, notes)
-            _manifest(folder, "bag convert", args, watch)
+            out.finish(folder, "bag convert", {"bag": args.bag})
     log_notes(notes)
     log.info(f"{number_of(count, 'message')} -> {args.out}")
     return 0
@@ -215,9 +213,3 @@ def _a_bag(path: Path) -> Path:
     if _is_log(path):
         raise InputError(f"{path}: a CARMEN log can only be converted to rosbag2 with mcap storage")
     return path
-
-
-def _manifest(folder: Path, stage: str, args: argparse.Namespace, watch: Stopwatch) -> None:
-    from turtlebag.datasets.outputs import write_manifest
-
-    write_manifest(folder, stage, args.command_line, {"bag": args.bag}, wall_s=watch.seconds())
