@@ -144,9 +144,7 @@ class Session(Sitting):
         pilot, look, truth = run.pilot, run.visuals, room.simulator.truth
         task = pilot.task
         sequence = None if task is None else task.sequence
-        goal = None
-        if sequence is not None and sequence.goal is not None:
-            goal = sequence.waypoint.written
+        goal = None if sequence is None or sequence.goal is None else sequence.waypoint.written
         return View(
             stamp_ns=run.stamp_ns,
             ended=self.ended,

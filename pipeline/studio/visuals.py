@@ -27,6 +27,7 @@ from turtlebag.pipeline.studio.view import (
     SectorMarks,
 )
 from turtlebag.planners.obstacle_layer import ObstacleLayer
+from turtlebag.planners.tasks.sequence import GoalSequence
 
 Made = TypeVar("Made")
 AHEAD_S, AHEAD_STEPS = 1.5, 16
@@ -191,7 +192,7 @@ class Visuals:
         if sequence is None:
             return ()
         done, running = len(sequence.outcomes), sequence.goal is not None
-        return self._cached.get("goals", (sequence, done, running), lambda: _marks(task))
+        return self._cached.get("goals", (sequence, done, running), lambda: _marks(sequence))
 
     def sure(self) -> float | None:
         """The share of the scans that the map explains; None while there is none."""
@@ -240,10 +241,7 @@ def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Graph:
     return Graph(T_map_keys.xyt.copy(), np.array(edges, dtype=np.int32).reshape(-1, 3))
 
 
-def _marks(task: Task | None) -> tuple[GoalMark, ...]:
-    assert task is not None
-    assert task.sequence is not None
-    sequence = task.sequence
+def _marks(sequence: GoalSequence) -> tuple[GoalMark, ...]:
     lap = sequence.lap
     status = ["waiting"] * len(lap)
     first = max(sequence.index, 0) // len(lap) * len(lap)
