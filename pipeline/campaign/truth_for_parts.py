@@ -75,7 +75,7 @@ def _true_front_end(truth: SE2) -> Maker:
             tracker = self.tracker
             usual = super().step(points, odometry_step, wait_s)
             moved = truth[0].inverse() @ truth[tracker.scan]
-            return replace(usual, T_track_base=(SE2(tracker.poses[0]) @ moved).xyt, revised=())
+            return replace(usual, T_track_base=(SE2(tracker.pose_of(0)) @ moved).xyt, revised=())
 
     return TrueFrontEnd
 

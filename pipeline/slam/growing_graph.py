@@ -28,6 +28,9 @@ class GrowingGraph:
         parameters.relinearizeSkip = 1
         self._gtsam, self._isam, self._count = gtsam, gtsam.ISAM2(parameters), 0
 
+    def __len__(self) -> int:
+        return self._count
+
     def update(self, T_map_keys: Array, constraints: Sequence[Constraint]) -> Array:
         """Poses (n, 3) after more constraints; those given are the first guess of the keys that are new."""
         gtsam: Any = self._gtsam

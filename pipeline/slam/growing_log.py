@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, ImuLog, LidarSpec, Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.growing_clouds import Rows
+from turtlebag.pipeline.slam.growing_columns import Columns
 
 # Odometry samples that reach back past the start of a sweep.
 RECENT = 64
@@ -43,62 +43,61 @@ class GrowingLog:
         self.lidar, self.T_base_lidar = lidar, T_base_lidar
         self.whole = True
         """Whether no scan was dropped."""
-        self._ranges, self._stamps, self._at, self._trusted = Rows(), Rows(), Rows(), Rows()
-        self._numbers, self._added = Rows(), 0
-        self._odometry_stamps, self._odometry = Rows(), Rows()
-        self._imu_stamps, self._turning, self._force = Rows(), Rows(), Rows()
+        self._scans, self._odometry, self._imu = Columns(), Columns(), Columns()
+        self._added = 0
 
     def __len__(self) -> int:
-        return len(self._stamps)
+        return len(self._scans)
 
     @property
     def has_odometry(self) -> bool:
         """Whether odometry comes with the scans."""
-        return len(self._at) > 0
+        return "T_odom_base" in self._scans
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
         """Stamps of all scans."""
-        return self._stamps.view()
+        return self._scans["stamp_ns"]
 
     @property
     def numbers(self) -> NDArray[np.int64]:
         """Which of all scans that were appended these are."""
-        return self._numbers.view()
+        return self._scans["number"]
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
         """Which scans are good to map with; may be changed in place."""
-        return self._trusted.view()
+        return self._scans["trusted"]
 
     def append(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu]) -> None:
         """One more scan; see `Mapper.add`."""
-        self._ranges.append(scan.ranges[None])
-        self._stamps.append(np.array([scan.stamp_ns], dtype=np.int64))
-        self._trusted.append(np.ones(1, dtype=np.bool_))
-        self._numbers.append(np.array([self._added]))
-        self._added += 1
+        at = {}
         if isinstance(odometry, Trajectory):
-            self._odometry_stamps.append(odometry.stamps_ns)
-            self._odometry.append(odometry.poses.xyt)
-            self._at.append(self._stream(RECENT).at(np.array([scan.stamp_ns])).xyt)
+            self._odometry.append(stamp_ns=odometry.stamps_ns, T_odom_base=odometry.poses.xyt)
+            at["T_odom_base"] = self._stream(RECENT).at(np.array([scan.stamp_ns])).xyt
         elif odometry is not None:
-            self._at.append(odometry.xyt[None])
+            at["T_odom_base"] = odometry.xyt[None]
+        self._scans.append(
+            stamp_ns=np.array([scan.stamp_ns], dtype=np.int64),
+            ranges=scan.ranges[None],
+            trusted=np.ones(1, dtype=np.bool_),
+            number=np.array([self._added]),
+            **at,
+        )
+        self._added += 1
         if imu:
-            self._imu_stamps.append(np.array([sample.stamp_ns for sample in imu], dtype=np.int64))
-            self._turning.append(np.array([sample.angular_velocity for sample in imu]))
-            self._force.append(np.array([sample.linear_acceleration for sample in imu]))
+            self._imu.append(
+                stamp_ns=np.array([sample.stamp_ns for sample in imu], dtype=np.int64),
+                angular_velocity=np.array([sample.angular_velocity for sample in imu]),
+                linear_acceleration=np.array([sample.linear_acceleration for sample in imu]),
+            )
 
     def keep(self, stays: NDArray[np.bool_]) -> None:
         """Only some of the scans (n,), and of the rest what the next one needs."""
         self.whole = False
-        for rows in (self._ranges, self._stamps, self._trusted, self._numbers, self._at):
-            if len(rows):
-                rows.keep(stays)
-        for rows in (self._odometry_stamps, self._odometry):
-            if len(rows):
-                rows.keep(np.arange(len(rows)) >= len(rows) - RECENT)
-        self._imu_stamps, self._turning, self._force = Rows(), Rows(), Rows()
+        self._scans.keep(stays)
+        self._odometry.keep(np.arange(len(self._odometry)) >= len(self._odometry) - RECENT)
+        self._imu = Columns()
 
     def last(self) -> Recording:
         """The newest scan alone."""
@@ -113,19 +112,20 @@ class GrowingLog:
         return self._recording(slice(None) if self.trusted.all() else self.trusted, 0)
 
     def _stream(self, recent: int) -> Trajectory:
-        return Trajectory(self._odometry_stamps.view()[-recent:], SE2(self._odometry.view()[-recent:]))
+        return Trajectory(self._odometry["stamp_ns"][-recent:], SE2(self._odometry["T_odom_base"][-recent:]))
 
     def _recording(self, scans: slice | NDArray[Any], recent: int) -> Recording:
-        imu = None
-        if len(self._turning) and not recent:
-            imu = ImuLog(self._imu_stamps.view(), self._turning.view(), self._force.view())
+        imu, log = None, self._scans
+        if len(self._imu) and not recent:
+            columns = self._imu["stamp_ns"], self._imu["angular_velocity"], self._imu["linear_acceleration"]
+            imu = ImuLog(*columns)
         return Recording(
             source="the scans so far",
-            stamps_ns=self._stamps.view()[scans],
-            ranges=self._ranges.view()[scans],
+            stamps_ns=log["stamp_ns"][scans],
+            ranges=log["ranges"][scans],
             lidar=self.lidar,
             T_base_lidar=self.T_base_lidar,
-            T_odom_base=SE2(self._at.view()[scans]) if len(self._at) else None,
+            T_odom_base=SE2(log["T_odom_base"][scans]) if self.has_odometry else None,
             odometry=self._stream(recent) if len(self._odometry) else None,
             imu=imu,
         )

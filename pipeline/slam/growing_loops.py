@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
-from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
+from turtlebag.pipeline.slam.drift import SIGMAS, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
 from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder
@@ -27,9 +27,7 @@ class GrowingLoops(LoopFinder):
         super().__init__(KeyScans(clouds, first), SE2(pose[None]), [], LoopClosing(config), first)
         self.sigma_m: float | None = None
         """Standard deviation of the newest key searched, as seen from the first one [m]."""
-        self._told = np.zeros((0, 3, 3))
         self._graph = GrowingGraph()
-        self._new: list[Constraint] = []
         self._since_query = 0
         self._waiting: deque[int] = deque()
         self._candidates: deque[tuple[int, float, float]] | None = None
@@ -46,8 +44,6 @@ class GrowingLoops(LoopFinder):
         self.poses = np.vstack([self.poses, compose(self.poses[-1], T_last_key)])
         self.path = np.append(self.path, self.path[-1] + np.hypot(T_last_key[0], T_last_key[1]) + 0.05)
         self.steps += steps
-        self._new += steps
-        self._told = np.concatenate([self._told, np.sum([c.information for c in steps], axis=0)[None]])
         self._since_query += 1
         if self.config.enabled and self._since_query >= self.config.every and len(self._waiting) < WAITING:
             self._since_query = 0
@@ -63,9 +59,7 @@ class GrowingLoops(LoopFinder):
             return False
         i = self._waiting[0]
         if self._candidates is None:
-            told = covariances(self.poses, np.arange(1, len(self.poses)), self._told)
-            drift = Drift(self.poses, told, np.zeros(len(told), dtype=bool))
-            self.ways = drift.ways(self.loops)
+            self.ways = drift_of(self.poses, self.steps).ways(self.loops)
             self.sigma_m = self._sigma(i)
             self._candidates = deque(self.candidates(i))
         elif self._candidates:
@@ -93,8 +87,8 @@ class GrowingLoops(LoopFinder):
     def _close(self, loop: Loop) -> None:
         constraint = self.config.constraint(loop)
         self.loops.append(constraint)
-        self.poses = self._graph.update(self.poses, [*self._new, constraint])
-        self._new.clear()
+        new = [c for c in self.steps if c.j >= len(self._graph)]
+        self.poses = self._graph.update(self.poses, [*new, constraint])
         self._found = None
 
     def keep(self, stays: NDArray[np.bool_], clouds: Clouds, keys: NDArray[np.int64]) -> None:
@@ -109,8 +103,5 @@ class GrowingLoops(LoopFinder):
         self._candidates = None
         if self._found is not None:
             self._found = replace(self._found, i=int(number[self._found.i]), j=int(number[self._found.j]))
-        self._told = np.zeros((len(keys) - 1, 3, 3))
-        for c in self.steps:
-            self._told[c.i] += c.information
-        self._graph, self._new = GrowingGraph(), []
+        self._graph = GrowingGraph()
         self.poses = self._graph.update(self.poses, [*self.steps, *self.loops])

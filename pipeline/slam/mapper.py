@@ -22,7 +22,8 @@ from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.clouds import known_motion
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import front_end_maker
-from turtlebag.pipeline.slam.growing_clouds import GrowingClouds, Rows
+from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
+from turtlebag.pipeline.slam.growing_columns import Columns
 from turtlebag.pipeline.slam.growing_log import GrowingLog
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
 from turtlebag.pipeline.slam.occupancy import make_grid
@@ -55,9 +56,9 @@ class Mapper:
         self._usable = self.config.usable(lidar)
         self._clouds = GrowingClouds()
         # of each scan that there is a cloud of: number in the log, odometry, stamp, motion during the sweep
-        self._number, self._odometry, self._stamps, self._motion = Rows(), Rows(), Rows(), Rows()
+        self._prepared = Columns()
         # of every scan of the log: the number of the last key, and the scan's pose seen from it
-        self._key, self._T_key_scan = Rows(), Rows()
+        self._by_key = Columns()
         self._tracker: Tracker | None = None
         self._loops: GrowingLoops | None = None
         self._T_map_track = np.zeros(3)
@@ -85,9 +86,9 @@ class Mapper:
             self._close_loops(tracker, self._loops)
         assert self._tracker is not None
         assert self._loops is not None
-        self._key.append(np.array([len(self._tracker.keys) - 1]))
-        self._T_key_scan.append(between(self._tracker.key_poses[-1], self._tracker.pose)[None])
-        if len(self._number) - len(self._tracker.keys) >= TIDY_SCANS + LAST_SCANS:
+        T_key_scan = between(self._tracker.key_poses[-1], self._tracker.pose)
+        self._by_key.append(key=np.array([len(self._tracker.keys) - 1]), T_key_scan=T_key_scan[None])
+        if len(self._prepared) - len(self._tracker.keys) >= TIDY_SCANS + LAST_SCANS:
             self._tidy(self._tracker, self._loops)
         return self.T_map_base
 
@@ -100,7 +101,7 @@ class Mapper:
     @property
     def T_map_odom(self) -> SE2:
         """Odometry's frame on the map."""
-        return self.T_map_base @ SE2(self._odometry.view()[-1]).inverse()
+        return self.T_map_base @ SE2(self._prepared["T_odom_base"][-1]).inverse()
 
     @property
     def lost(self) -> bool:
@@ -128,12 +129,12 @@ class Mapper:
         """The key scans by their numbers among all scans that were added, from 0 on."""
         if self._tracker is None:
             return np.zeros(0, dtype=np.int64)
-        return self._log.numbers[self._number.view()[self._tracker.keys]]
+        return self._log.numbers[self._prepared["number"][self._tracker.keys]]
 
     @property
     def trajectory(self) -> Trajectory:
         """Poses of all scans, by all that is known now."""
-        T_map_scans = self.T_map_keys[self._key.view()] @ SE2(self._T_key_scan.view())
+        T_map_scans = self.T_map_keys[self._by_key["key"]] @ SE2(self._by_key["T_key_scan"])
         return Trajectory(self._log.stamps_ns, T_map_scans)
 
     @property
@@ -148,12 +149,12 @@ class Mapper:
 
     def map(self) -> OccupancyGrid:
         """What the key scans and the newest scan saw."""
-        numbers = self._number.view()
+        numbers = self._prepared["number"]
         assert self._tracker is not None
         T_map = {key: SE2(pose) for key, pose in zip(self._tracker.keys, self.T_map_keys.xyt, strict=True)}
         T_map[len(numbers) - 1] = self.T_map_base
         shown = [k for k in T_map if self._log.trusted[numbers[k]]]
-        seen, motion = self._log.some(numbers[shown]), SE2(self._motion.view()[shown])
+        seen, motion = self._log.some(numbers[shown]), SE2(self._prepared["motion"][shown])
         return make_grid(seen, SE2.stack([T_map[k] for k in shown]), self.config.grid, self._usable, motion)
 
     def finish(self) -> tuple[Trajectory, OccupancyGrid]:
@@ -182,10 +183,12 @@ class Mapper:
             self._clouds.noise = range_noise(self._log.recording(), self._usable)
         motion = known_motion(one)
         self._clouds.append(one, self._usable, motion)
-        self._number.append(np.array([number]))
-        self._stamps.append(one.stamps_ns)
-        self._odometry.append(np.zeros((1, 3)) if one.T_odom_base is None else one.T_odom_base.xyt)
-        self._motion.append(motion.xyt)
+        self._prepared.append(
+            number=np.array([number]),
+            stamp_ns=one.stamps_ns,
+            T_odom_base=np.zeros((1, 3)) if one.T_odom_base is None else one.T_odom_base.xyt,
+            motion=motion.xyt,
+        )
 
     def _begin(self) -> None:
         clouds, make = self._clouds.view(), front_end_maker(self.config.front_end)
@@ -193,8 +196,8 @@ class Mapper:
         self._loops = GrowingLoops(clouds, self._tracker.pose, self.config.loops)
 
     def _extend(self, tracker: Tracker) -> None:
-        odometry = self._odometry.view() if self._log.has_odometry else None
-        tracker.extend(self._clouds.view(), odometry, self._stamps.view())
+        odometry = self._prepared["T_odom_base"] if self._log.has_odometry else None
+        tracker.extend(self._clouds.view(), odometry, self._prepared["stamp_ns"])
 
     def _judge(self, tracker: Tracker) -> None:
         """Count scans that do not fit. One without points says nothing where odometry carries the robot."""
@@ -206,10 +209,10 @@ class Mapper:
 
     def _revise(self, tracker: Tracker) -> None:
         """Scans before that the newest one tells more of lie elsewhere, seen from their keys."""
-        key, T_key_scan = self._key.view(), self._T_key_scan.view()
+        key, T_key_scan = self._by_key["key"], self._by_key["T_key_scan"]
         for scan, _ in tracker.placed.revised:
-            number = self._number.view()[scan]
-            T_key_scan[number] = between(tracker.key_poses[key[number]], tracker.poses[scan])
+            number = self._prepared["number"][scan]
+            T_key_scan[number] = between(tracker.key_poses[key[number]], tracker.pose_of(scan))
 
     def _close_loops(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """A new key scan for the graph, if there is one, and one more alignment."""
@@ -227,11 +230,10 @@ class Mapper:
         needed = loops.needed()
         needed[-FIELD_KEYS:] = True
         kept = needed | _first_of_places(loops.poses)
-        stays = np.zeros(len(self._number), dtype=bool)
+        stays = np.zeros(len(self._prepared), dtype=bool)
         stays[-LAST_SCANS:] = True
         stays[np.array(tracker.keys)] = kept
-        for rows in (self._number, self._odometry, self._stamps, self._motion):
-            rows.keep(stays)
+        self._prepared.keep(stays)
         self._clouds.keep(stays)
         tracker.forget(~stays)
         self._extend(tracker)
@@ -247,10 +249,10 @@ class Mapper:
     def _drop_scans(self) -> None:
         """Of the log too only the scans that there are clouds of stay."""
         stays = np.zeros(len(self._log), dtype=bool)
-        stays[self._number.view()] = True
-        for rows in (self._log, self._key, self._T_key_scan):
-            rows.keep(stays)
-        self._number.view()[:] = np.arange(len(self._number))
+        stays[self._prepared["number"]] = True
+        self._log.keep(stays)
+        self._by_key.keep(stays)
+        self._prepared["number"][:] = np.arange(len(self._prepared))
 
     def _follow(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """The track goes where the graph has its last key scan."""
@@ -259,9 +261,10 @@ class Mapper:
     def _hang_on(self, kept: NDArray[np.bool_], T_map_keys: Array) -> None:
         """Scans seen from keys that go are seen from the last one before that stays."""
         before = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
-        key, T_map = self._key.view(), SE2(T_map_keys)
+        key, T_map = self._by_key["key"], SE2(T_map_keys)
         T_new_old = (T_map[before].inverse() @ T_map)[key]
-        self._T_key_scan.view()[:] = (T_new_old @ SE2(self._T_key_scan.view())).xyt
+        T_key_scan = self._by_key["T_key_scan"]
+        T_key_scan[:] = (T_new_old @ SE2(T_key_scan)).xyt
         key[:] = (np.cumsum(kept) - 1)[before[key]]
 
 

@@ -31,9 +31,9 @@ FIRST_CALIBRATION = 25
 class Tracker:
     """The log as far as it is tracked.
 
-    `scan` is the one placed last, or being placed; `pose` and `velocity` (3,) are the pose of the last scan
-    placed and its motion since the scan before, `keys` and `key_poses` the key scans and where they are.
-    `max_range` is how far the lidar is used [m].
+    `scan` is the one placed last, or being placed; `velocity` (3,) is the motion of the last scan placed
+    since the scan before, `keys` and `key_poses` are the key scans and where they are. `max_range` is how
+    far the lidar is used [m].
     """
 
     def __init__(
@@ -43,18 +43,14 @@ class Tracker:
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
         self.stamps = recording.stamps_ns
         self.scan, self.velocity = 0, np.zeros(3)
-        self.pose = np.zeros(3) if self.odometry is None else self.odometry[0].copy()
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
-        self.poses: list[Array] = []
         self.calibration = Calibration()
-        self._placed: list[Placed] = []
-        self._usable: list[bool] = []
         self._make = make
         self._front_end: FrontEnd | None = None
-        self._next_calibration = FIRST_CALIBRATION
-        self._field: tuple[int, Field] | None = None
-        self._keep(Placed(self.pose, np.zeros((3, 3)), 1.0))
+        self._field: Field | None = None
+        first = np.zeros(3) if self.odometry is None else self.odometry[0].copy()
+        self._placed = [Placed(first, np.zeros((3, 3)), 1.0)]
         self._add_key()
 
     def extend(self, clouds: Clouds, T_odom_base: Array | None, stamps_ns: NDArray[np.int64]) -> None:
@@ -67,9 +63,7 @@ class Tracker:
         stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
         old = [n for n, key in enumerate(self.keys) if stays[key]]
         self.keys, self.key_poses = [int(number[self.keys[n]]) for n in old], [self.key_poses[n] for n in old]
-        of = np.flatnonzero(stays).tolist()
-        self.poses, self._placed = [self.poses[k] for k in of], [self._placed[k] for k in of]
-        self._usable = [self._usable[k] for k in of]
+        self._placed = [self._placed[k] for k in np.flatnonzero(stays).tolist()]
         self.scan, self._field = int(number[self.scan]), None
         if len(self.keys) < n_keys:
             # from one key scan to the next is no longer what was driven
@@ -92,15 +86,24 @@ class Tracker:
             # what they fitted, and saw, was at the poses that they leave
             for scan, pose in placed.revised:
                 if scan not in self.keys:
-                    fit = replace(placed, source=self._placed[scan].source, revised=())
-                    self.poses[scan], self._placed[scan] = pose, fit
+                    source = self._placed[scan].source
+                    self._placed[scan] = replace(placed, T_track_base=pose, source=source, revised=())
             # what happened in a gap says nothing of the next step
             gap = abs(wait_s) > GAP_S
-            self.velocity = np.zeros(3) if gap else between(self.poses[-1], placed.T_track_base)
+            self.velocity = np.zeros(3) if gap else between(self.pose, placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
-        self._keep(placed)
-        if moved and placed.sure and self._usable[-1]:
+        self._placed.append(placed)
+        if moved and placed.sure and self._has_matches(self.scan):
             self._add_key()
+
+    @property
+    def pose(self) -> Array:
+        """Where the last scan was placed (3,)."""
+        return self.placed.T_track_base
+
+    def pose_of(self, scan: int) -> Array:
+        """Where a scan is taken to be by now (3,)."""
+        return self._placed[scan].T_track_base
 
     def odometry_since(self, before: int, scan: int | None = None) -> Array:
         """Motion (3,) from one scan to another (the present one) by the calibrated odometry there is."""
@@ -115,11 +118,10 @@ class Tracker:
     @property
     def field(self) -> Field:
         """The last key scans as a field to search in."""
-        if self._field is None or self._field[0] != len(self.keys):
+        if self._field is None:
             keys, poses = np.array(self.keys[-FIELD_KEYS:]), np.array(self.key_poses[-FIELD_KEYS:])
-            field = make_field(self.clouds, keys, poses, FIELD_M, FIELD_M)
-            self._field = len(self.keys), field
-        return self._field[1]
+            self._field = make_field(self.clouds, keys, poses, FIELD_M, FIELD_M)
+        return self._field
 
     def track(self, first: int = 0) -> Track:
         """What is left of it all; from a key scan `first` on, which then is scan 0 and key scan 0."""
@@ -128,7 +130,7 @@ class Tracker:
         if self.odometry is not None:
             steps = self.calibration.corrected(SE2(self.odometry[keys]).steps())
         return Track(
-            SE2(np.array(self.poses[begin:])),
+            SE2(np.array([one.T_track_base for one in placed])),
             np.array(keys) - begin,
             np.array([one.overlap for one in placed]),
             np.array([one.rmse for one in placed]),
@@ -136,7 +138,7 @@ class Tracker:
             np.array([one.source for one in placed], dtype=np.int8),
             steps,
             self.calibration,
-            np.array(self._usable[begin:]),
+            np.array([self._has_matches(scan) for scan in range(begin, self.scan + 1)]),
         )
 
     @property
@@ -151,11 +153,9 @@ class Tracker:
             keys, T_track_keys = np.array(self.keys), SE2(np.array(self.key_poses))
             self.calibration = calibrate(self.clouds, keys, T_track_keys, T_odom_keys)
 
-    def _keep(self, placed: Placed) -> None:
-        self.pose = placed.T_track_base
-        self.poses.append(self.pose)
-        self._placed.append(placed)
-        self._usable.append(self.clouds.placed_by(self.scan) != "nothing")
+    def _has_matches(self, scan: int) -> bool:
+        """Whether others can be matched with a scan."""
+        return self.clouds.placed_by(scan) != "nothing"
 
     def _moved_enough(self, pose: Array) -> bool:
         delta, config = between(self.key_poses[-1], pose), self.config
@@ -166,11 +166,12 @@ class Tracker:
     def _add_key(self) -> None:
         self.keys.append(self.scan)
         self.key_poses.append(self.pose)
-        if self._front_end is None and self._usable[-1]:
+        self._field = None
+        if self._front_end is None and self._has_matches(self.scan):
             self._front_end = self._make(self)
-        if len(self.keys) == self._next_calibration:
+        doublings = len(self.keys) / FIRST_CALIBRATION
+        if doublings >= 1.0 and np.log2(doublings).is_integer():
             self.calibrate()
-            self._next_calibration *= 2
 
 
 Maker = Callable[[Tracker], FrontEnd]
