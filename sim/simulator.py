@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
@@ -17,22 +17,17 @@ from turtlebag.sim.imu import ImuConfig, ImuSensor
 from turtlebag.sim.lidar import GAZEBO_SIGMA, Lidar, LidarConfig
 from turtlebag.sim.lidar3d import Lidar3d
 from turtlebag.sim.lidar_sweeps import Sweep
-from turtlebag.sim.movers import MovingSolid, outlines
 from turtlebag.sim.physics import Physics, PhysicsConfig
-from turtlebag.sim.raycast import distance_to_outlines, distance_to_point
 from turtlebag.sim.robots import CONTROL_HZ as CONTROL_HZ
-from turtlebag.sim.robots import PERIOD_S, LidarErrors, RobotSpec, check_rate, stamp_of
-from turtlebag.sim.shapes import Sections, Solid, contains, sections
-from turtlebag.sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
+from turtlebag.sim.robots import LidarErrors, RobotSpec, check_rate, stamp_of
+from turtlebag.sim.shapes import Solid
+from turtlebag.sim.surroundings import Surroundings
+from turtlebag.sim.wheels import Board, OdometryConfig
 from turtlebag.sim.world import World
 
 Sensors = Literal["realistic", "clean"]
-OUTSIDE_M = 5.0
-"""How far outside the world's bounds a robot may be put down."""
 REALISTIC_SLIP = {"slip": 0.001, "turn_slip": 0.005}
 """Metres after a metre and radians after a radian: assumed, for a hard floor and rubber tyres."""
-DROP_ROOM_M = 0.02
-"""What is dropped must lie this far from the robot."""
 CONTACT_REACH_M = 0.05
 """Contacts are looked for when the robot's centre is this much farther from a solid than its own radius."""
 
@@ -99,16 +94,15 @@ class Simulator:
     """True state after the last step."""
     scan_truth: SE2
     """True base pose at the stamp of the scan that was delivered last."""
+    surroundings: Surroundings
+    """What stands and moves about the robot."""
 
     def __init__(
         self, world: World, robot: RobotSpec, config: SimConfig | None = None, seed: int = 0
     ) -> None:
         self.world, self.robot, self.seed = world, robot, seed
         self.config = (config or SimConfig()).resolved(robot)
-        self._radius = robot.model.circumscribed_radius
-        rate = self.config.lidar.rate_hz or robot.lidar.rate_hz
-        check_rate(rate, "sim")
-        self._steps_per_scan = round(CONTROL_HZ / rate)
+        check_rate(self.config.lidar.rate_hz or robot.lidar.rate_hz, "sim")
         moving = [mover.solid for mover in world.movers]
         self._physics = Physics(world.shapes, moving, robot, self.config.physics)
         self._step = -1
@@ -129,103 +123,78 @@ class Simulator:
         What was dropped is gone. InputError when the pose overlaps a solid.
         """
         start = self.world.spawn if T_world_base is None else T_world_base
-        self._dropped: list[Solid] = []
-        self._standing = self._touchable = self.world.touchable(self.robot.height)
-        everything = [*self.world.shapes, *(mover.solid for mover in self.world.movers)]
-        self._visible = [solid.crosses(self.robot.lidar_height) for solid in everything]
-        self._check_free(start)
+        around = Surroundings(self.world, self.robot, self.seed)
+        around.require_free(start, "start pose")
         for kidnap in self.config.faults.kidnap:
-            self._check_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
-        turning = self.config.lidar.turning
-        calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
-        self._lidar = Lidar(self.world.shapes, self.robot, self.config.lidar, stream(self.seed, "lidar"))
-        self._sweep = Sweep(self._lidar, self._steps_per_scan, step, turning=turning)
+            around.require_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
+        self.surroundings = around
+        config, turning = self.config.lidar, self.config.lidar.turning
+        self._lidar = Lidar(self.world.shapes, self.robot, config, stream(self.seed, "lidar"))
+        steps_per_scan = round(CONTROL_HZ / (config.rate_hz or self.robot.lidar.rate_hz))
+        self._sweep = Sweep(self._lidar, steps_per_scan, step, turning=turning)
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"))
         self._lidar3d, mount = None, self.robot.lidar3d
         if mount is not None:
-            lidar = self.config.lidar
-            sigma = 0.0 if lidar.noise == "none" else GAZEBO_SIGMA if lidar.sigma is None else lidar.sigma
+            sigma = 0.0 if config.noise == "none" else GAZEBO_SIGMA if config.sigma is None else config.sigma
             moving = [mover.solid for mover in self.world.movers]
             self._lidar3d = Lidar3d(self.world.shapes, mount, sigma, stream(self.seed, "lidar3d"), moving)
-            steps = round(CONTROL_HZ / mount.rate_hz)
-            self._sweep3d = Sweep(self._lidar3d, steps, step, turning=turning)
+            self._sweep3d = Sweep(self._lidar3d, round(CONTROL_HZ / mount.rate_hz), step, turning=turning)
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), step)
-        self._slip = Slip(self.robot, self.config.odometry, stream(self.seed, "slip"))
-        self._motors = Motors(self.robot, calibration)
-        self._odometry = WheelOdometry(self.robot, calibration, start)
-        self._moving = [
-            MovingSolid(mover, self._standing, self._radius, stream(self.seed, f"mover {number}"))
-            for number, mover in enumerate(self.world.movers)
-        ]
-        self.moving = _sections_of(self._moving, self.robot.height)
-        """What moves and the robot can touch, where it stands now; another object once it has moved."""
-        self._physics.reset(start, [one.position for one in self._moving])
+        self._board = Board(self.robot, self.config.odometry, self.seed, start)
+        self._physics.reset(start, [one.position for one in around.movers])
         self._step = step
         self._place_movers()
-        self._touched = self._physics.touched()
         self.scan_truth = start
-        return self._observe()
+        return self._observe(self._physics.touched())
 
     def step(self, command: Twist) -> Observation:
         """Drive for one control period."""
         if self._step < 0:
             raise RuntimeError("reset the simulator before the first step")
-        if self._moving:
-            for one in self._moving:
-                one.step(PERIOD_S, self.truth.T_world_base.xy)
+        if self.surroundings.movers:
+            self.surroundings.step(self.truth.T_world_base.xy)
             self._place_movers()
-        wheels = self._motors.step(self._faults.command(command))
+        wheels = self._board.motors.step(self._faults.command(command))
         wheels = self._faults.grip(self._step + 1, *wheels)
-        self._touched = self._physics.step(*wheels, watch=self._something_near())
+        reach = self.robot.model.circumscribed_radius + CONTACT_REACH_M
+        reach += 2.0 * self.robot.limits.max_v / CONTROL_HZ
+        near = self.surroundings.within(reach, self.truth.T_world_base)
+        touched = self._physics.step(*wheels, watch=near)
         self._step += 1
         place = self._faults.kidnapped(self._step)
         if place is not None:
             self._put_down(place)
-        return self._observe()
+        return self._observe(touched)
 
     def carry(self, T_world_base: SE2) -> None:
         """Carry the robot elsewhere, between two steps; InputError when it cannot stand there."""
-        self._check_free(T_world_base, "pose")
+        self.surroundings.require_free(T_world_base, "pose")
         self._put_down(T_world_base)
         self.truth = replace(self.truth, T_world_base=T_world_base)
 
     def drop(self, solid: Solid) -> None:
         """Put one more solid on the floor; InputError when it would touch the robot."""
-        segments, circles = solid.outline(0.0, self.robot.height)
-        footprint = self.truth.T_world_base @ self.robot.model.footprint
-        inside = solid.inside(solid.z_min, self.truth.T_world_base.xy[None])[0]
-        if inside or distance_to_outlines(footprint, segments, circles) < DROP_ROOM_M:
-            x, y = solid.center
-            raise InputError(f"{solid.name} {x:g}, {y:g}: would touch the robot; drop it farther away")
+        self.surroundings.drop(solid, self.truth.T_world_base)
         self._physics.drop(solid)
-        self._dropped.append(solid)
-        self._visible.append(solid.crosses(self.robot.lidar_height))
-        self._standing = self._standing + sections([solid], 0.0, self.robot.height)
-        for one in self._moving:
-            one.standing = self._standing
-        self._touchable = self._standing + self.moving
         for lidar in (self._lidar, self._lidar3d):
             if lidar is not None:
-                lidar.surround([*self.world.shapes, *self._dropped])
+                lidar.surround(self.surroundings.solids)
 
     def clearance(self) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
-        footprint = self.truth.T_world_base @ self.robot.model.footprint
-        return float(distance_to_outlines(footprint, self._touchable.segments, self._touchable.circles))
+        return self.surroundings.clearance(self.truth.T_world_base)
 
     def _place_movers(self) -> None:
-        """Tell physics, lidars and clearance where the movers stand now."""
-        if not self._moving:
+        """Tell physics and lidars where the movers stand now."""
+        movers = self.surroundings.movers
+        if not movers:
             return
-        for number, one in enumerate(self._moving):
+        for number, one in enumerate(movers):
             self._physics.place(number, one.position, one.velocity)
-        self.moving = _sections_of(self._moving, self.robot.height)
-        self._touchable = self._standing + self.moving
-        seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]
-        self._lidar.note_movers(outlines(seen), self._sweep.steps_before(self._step))
+        self._lidar.note_movers(self.surroundings.visible_movers, self._sweep.steps_before(self._step))
         if self._lidar3d is not None:
             earlier = self._sweep3d.steps_before(self._step)
-            self._lidar3d.note_movers([one.position.copy() for one in self._moving], earlier)
+            self._lidar3d.note_movers([one.position.copy() for one in movers], earlier)
 
     def _put_down(self, T_world_base: SE2) -> None:
         """Carry the robot elsewhere; of the sweep under way there is no scan."""
@@ -234,19 +203,17 @@ class Simulator:
         if self._lidar3d is not None:
             self._sweep3d.put_down(T_world_base.xyt)
 
-    def _observe(self) -> Observation:
+    def _observe(self, touched: Iterable[int]) -> Observation:
         stamp = stamp_of(self._step)
         x, y, yaw = self._physics.pose()
         left, right, left_speed, right_speed = self._faults.encoders(self._step, *self._physics.wheels())
-        left, right = self._slip.encoders(left, right)
-        touched = [self._visible[number] for number in self._touched]
-        visible, low = any(touched), not all(touched)
+        left, right = self._board.slip.encoders(left, right)
         pose = np.array([x, y, yaw])
         twist = Twist(*self._physics.velocity(yaw))
-        self.truth = Truth(stamp, SE2(pose), twist, visible, low)
+        self.truth = Truth(stamp, SE2(pose), twist, *self.surroundings.contacts(touched))
         return Observation(
             stamp,
-            Odometry(stamp, *self._odometry.update(left, right)),
+            Odometry(stamp, *self._board.odometry.update(left, right)),
             Joints(stamp, (left, right), (left_speed, right_speed)),
             self._sweep_on(pose),
             self._faults.imu(self._imu.samples(self._step, twist)),
@@ -267,34 +234,3 @@ class Simulator:
         """Stamp and cloud of the 3D lidar, if there is one, when its sweep ends."""
         done = None if self._lidar3d is None else self._sweep3d.add(self._step, pose)
         return None if done is None else (done.stamp_ns, done.measured)
-
-    def _something_near(self) -> bool:
-        """Whether anything can be touched within the next control step."""
-        x, y, _ = self.truth.T_world_base.xyt.tolist()
-        near = self._touchable
-        reach = self._radius + CONTACT_REACH_M + 2.0 * self.robot.limits.max_v / CONTROL_HZ
-        return distance_to_point(x, y, near.segments, near.circles) <= reach
-
-    def _check_free(self, start: SE2, what: str = "start pose") -> None:
-        x, y = float(start.x), float(start.y)
-        x_min, x_max, y_min, y_max = self.world.bounds
-        beyond = max(x_min - x, x - x_max, y_min - y, y - y_max)
-        if not beyond <= OUTSIDE_M:  # also when it is not a number
-            raise InputError(f"{what} {x:g}, {y:g}: outside of world {self.world.name}")
-        footprint = start @ self.robot.model.footprint
-        standing = self._standing
-        solids = [*self.world.below(self.robot.height), *self._dropped]
-        if (
-            not np.isfinite(start.yaw)
-            or distance_to_outlines(footprint, standing.segments, standing.circles) == 0.0
-            or contains(solids, self.robot.lidar_height, start.xy[None])[0]
-        ):
-            raise InputError(
-                f"{what} {x:g}, {y:g}: the robot would stand in an obstacle of {self.world.name}"
-            )
-
-
-def _sections_of(moving: list[MovingSolid], height: float) -> Sections:
-    """Outlines of the movers that a robot of that height can touch."""
-    segments, circles = outlines([one for one in moving if one.mover.solid.z_min < height])
-    return Sections(segments, circles, np.ones(len(segments)), np.ones(len(circles)))

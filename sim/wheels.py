@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, wrapped
+from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
@@ -111,3 +112,13 @@ class WheelOdometry:
         self._yaw = wrapped(self._yaw + turn)
         T_odom_base = SE2(np.array([self._x, self._y, self._yaw]))
         return T_odom_base, Twist(forward / PERIOD_S, turn / PERIOD_S)
+
+
+class Board:
+    """The robot's own board: commands become wheel speeds, what the encoders see becomes odometry."""
+
+    def __init__(self, robot: RobotSpec, config: OdometryConfig, seed: int, start: SE2) -> None:
+        calibration = Calibration(robot, config, stream(seed, "calibration"))
+        self.motors = Motors(robot, calibration)
+        self.slip = Slip(robot, config, stream(seed, "slip"))
+        self.odometry = WheelOdometry(robot, calibration, start)

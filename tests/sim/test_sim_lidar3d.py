@@ -168,10 +168,10 @@ def test_each_beam_sees_what_moves_where_it_stood_in_that_control_step():
     world = dataclasses.replace(load_world("empty"), movers=(mover,))
     with Simulator(world, ROBOT, SimConfig(sensors="clean"), 1) as simulator:
         simulator.reset()
-        stood, cloud = [simulator._moving[0].position], None
+        stood, cloud = [simulator.surroundings.movers[0].position], None
         while cloud is None:
             seen = simulator.step(Twist())
-            stood.append(simulator._moving[0].position)
+            stood.append(simulator.surroundings.movers[0].position)
             cloud = seen.cloud
     points = cloud[1].points
     lidar = np.array(MOUNT.position)

@@ -1,0 +1,114 @@
+"""What stands and moves about a robot: what it can touch, what its lidar sees, where it may stand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.sim.movers import MovingSolid, outlines
+from turtlebag.sim.raycast import distance_to_outlines, distance_to_point
+from turtlebag.sim.robots import PERIOD_S, RobotSpec
+from turtlebag.sim.shapes import Sections, Solid, contains, sections
+from turtlebag.sim.world import World
+
+OUTSIDE_M = 5.0
+"""How far outside the world's bounds a robot may be put down."""
+DROP_ROOM_M = 0.02
+"""What is dropped must lie this far from the robot."""
+
+
+class Surroundings:
+    """The solids of a world, what was dropped since, and what moves, for one robot."""
+
+    moving: Sections
+    """What moves and the robot can touch, where it stands now; another object once it has moved."""
+
+    def __init__(self, world: World, robot: RobotSpec, seed: int) -> None:
+        self._world, self._robot = world, robot
+        self._dropped: list[Solid] = []
+        self._standing = world.touchable(robot.height)
+        radius = robot.model.circumscribed_radius
+        self.movers = [
+            MovingSolid(mover, self._standing, radius, stream(seed, f"mover {number}"))
+            for number, mover in enumerate(world.movers)
+        ]
+        everything = [*world.shapes, *(mover.solid for mover in world.movers)]
+        self._visible = [solid.crosses(robot.lidar_height) for solid in everything]
+        self._note()
+
+    @property
+    def solids(self) -> list[Solid]:
+        """What stands, and never moves."""
+        return [*self._world.shapes, *self._dropped]
+
+    @property
+    def visible_movers(self) -> tuple[Array, Array]:
+        """Outlines where they stand now of the movers that the planar lidar sees."""
+        height = self._robot.lidar_height
+        return outlines([one for one in self.movers if one.mover.solid.crosses(height)])
+
+    def step(self, robot_xy: Array) -> None:
+        """Movers move on for one control step."""
+        if self.movers:
+            for one in self.movers:
+                one.step(PERIOD_S, robot_xy)
+            self._note()
+
+    def drop(self, solid: Solid, T_world_base: SE2) -> None:
+        """One more solid on the floor; InputError when it would touch the robot."""
+        segments, circles = solid.outline(0.0, self._robot.height)
+        footprint = T_world_base @ self._robot.model.footprint
+        inside = solid.inside(solid.z_min, T_world_base.xy[None])[0]
+        if inside or distance_to_outlines(footprint, segments, circles) < DROP_ROOM_M:
+            x, y = solid.center
+            raise InputError(f"{solid.name} {x:g}, {y:g}: would touch the robot; drop it farther away")
+        self._dropped.append(solid)
+        self._visible.append(solid.crosses(self._robot.lidar_height))
+        self._standing = self._standing + sections([solid], 0.0, self._robot.height)
+        for one in self.movers:
+            one.standing = self._standing
+        self._touchable = self._standing + self.moving
+
+    def contacts(self, touched: Iterable[int]) -> tuple[bool, bool]:
+        """Whether any of the solids of these numbers crosses the lidar's plane, and whether any does not."""
+        visible = [self._visible[number] for number in touched]
+        return any(visible), not all(visible)
+
+    def clearance(self, T_world_base: SE2) -> float:
+        """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
+        footprint = T_world_base @ self._robot.model.footprint
+        return float(distance_to_outlines(footprint, self._touchable.segments, self._touchable.circles))
+
+    def within(self, reach_m: float, T_world_base: SE2) -> bool:
+        """Whether anything that can be touched is so near the robot's centre."""
+        x, y, _ = T_world_base.xyt.tolist()
+        return distance_to_point(x, y, self._touchable.segments, self._touchable.circles) <= reach_m
+
+    def require_free(self, T_world_base: SE2, what: str) -> None:
+        """InputError when the robot cannot stand there."""
+        x, y = float(T_world_base.x), float(T_world_base.y)
+        x_min, x_max, y_min, y_max = self._world.bounds
+        beyond = max(x_min - x, x - x_max, y_min - y, y - y_max)
+        if not beyond <= OUTSIDE_M:  # also when it is not a number
+            raise InputError(f"{what} {x:g}, {y:g}: outside of world {self._world.name}")
+        footprint, standing = T_world_base @ self._robot.model.footprint, self._standing
+        solids = [*self._world.below(self._robot.height), *self._dropped]
+        if (
+            not np.isfinite(T_world_base.yaw)
+            or distance_to_outlines(footprint, standing.segments, standing.circles) == 0.0
+            or contains(solids, self._robot.lidar_height, T_world_base.xy[None])[0]
+        ):
+            raise InputError(
+                f"{what} {x:g}, {y:g}: the robot would stand in an obstacle of {self._world.name}"
+            )
+
+    def _note(self) -> None:
+        """Where the movers stand now."""
+        height = self._robot.height
+        segments, circles = outlines([one for one in self.movers if one.mover.solid.z_min < height])
+        self.moving = Sections(segments, circles, np.ones(len(segments)), np.ones(len(circles)))
+        self._touchable = self._standing + self.moving
