@@ -16,7 +16,7 @@ from turtlebag.pipeline.navigation.pose_check import require_free, require_on_ma
 from turtlebag.pipeline.navigation.setup import DEFAULT_EXPLORE_S, MAX_SIMULATED_S, SINGLE_GOAL, require_floor
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.pilot import Task, WiggleDriver, changes_only
-from turtlebag.pipeline.studio.run import Run
+from turtlebag.pipeline.studio.run import LoadedMap, Run
 from turtlebag.pipeline.terminal.messages import number_of
 from turtlebag.planners.costmap import Costmap, costmap_from_grid, polygon_mask
 from turtlebag.planners.tasks.sequence import GoalSequence
@@ -47,7 +47,8 @@ def map_stop(run: Run, action: inputs.Plain) -> str:
 
 def map_save(run: Run, action: inputs.Save) -> str:
     """Save the map made here, finished; else the one that is loaded, with what to keep out of."""
-    library, mapper, grid = run.room.library, run.pilot.mapper, run.grid
+    library, mapper = run.room.library, run.pilot.mapper
+    grid = None if run.loaded is None else run.loaded.grid
     library.check_name(action.name)
     if mapper is not None:
         if not mapper.ready:
@@ -67,7 +68,7 @@ def map_load(run: Run, action: inputs.Load) -> str:
     keepout = run.room.setup.arena.keepout if saved is None else saved
     costmap = _costmap(run, grid, keepout)
     run.end_task("ended: a map was loaded")
-    run.grid, run.map_name, run.map_path, run.keepout = grid, action.name, path, keepout
+    run.loaded, run.keepout = LoadedMap(grid, action.name, path), keepout
     run.pilot.load(grid, costmap, run.stamp_ns)
     run.frame_changed()
     return f"map {action.name or path.stem} loaded"
@@ -75,9 +76,9 @@ def map_load(run: Run, action: inputs.Load) -> str:
 
 def pose_estimate(run: Run, action: inputs.At) -> str:
     """Tell the robot where it is."""
-    navigation, _ = _on_map(run, "pose_estimate")
+    navigation, loaded = _on_map(run, "pose_estimate")
     pose = SE2.from_xyt(*action.pose)
-    require_on_map("pose_estimate", pose, navigation.tools.obstacles.static, run.map_path)
+    require_on_map("pose_estimate", pose, navigation.tools.obstacles.static, loaded.path)
     navigation.told(pose, run.observation.odometry.T_odom_base)
     run.frame_changed()
     x, y, yaw = action.pose
@@ -86,8 +87,8 @@ def pose_estimate(run: Run, action: inputs.At) -> str:
 
 def localise_global(run: Run, action: inputs.Plain) -> str:
     """Let the robot find out where it is: it may be anywhere."""
-    navigation, grid = _on_map(run, "localise_global")
-    require_floor(grid, run.map_path)
+    navigation, loaded = _on_map(run, "localise_global")
+    require_floor(loaded.grid, loaded.path)
     navigation.told("global", run.observation.odometry.T_odom_base)
     run.frame_changed()
     return "global localisation: the robot may be anywhere on the map"
@@ -102,9 +103,9 @@ def goal(run: Run, action: inputs.At) -> str:
         sequence = _sequence(run, goals, SINGLE_GOAL)
         driver = make_mapless(pilot.kit, run.observation.odometry.T_odom_base, sequence)
         return _begin(run, Task("goal", run.stamp_ns, driver, sequence), "drive to a goal without a map")
-    navigation = _localised(run, "goal")
+    navigation, loaded = _localised(run, "goal")
     costmap = navigation.tools.obstacles.static
-    require_free("goal", T_map_goal, costmap, pilot.kit.robot.model, run.map_path)
+    require_free("goal", T_map_goal, costmap, pilot.kit.robot.model, loaded.path)
     run.end_task("ended: another goal was set")
     sequence = _sequence(run, [Waypoint(T_map_goal, "", action.pose)], SINGLE_GOAL)
     navigation.begin(sequence)
@@ -113,7 +114,7 @@ def goal(run: Run, action: inputs.At) -> str:
 
 def patrol(run: Run, action: inputs.Patrol) -> str:
     """Go to one place after the other."""
-    navigation = _localised(run, "patrol")
+    navigation, _ = _localised(run, "patrol")
     run.end_task("ended: a patrol was started")
     stops = [Waypoint(SE2.from_xyt(*stop.pose), "", stop.pose, stop.wait) for stop in action.waypoints]
     sequence = _sequence(run, stops, {"laps": action.laps})
@@ -190,8 +191,8 @@ def box(run: Run, action: inputs.DropBox) -> str:
 def keepout(run: Run, action: inputs.Keepout) -> str:
     """Keep out of these places, and of no others."""
     outlines = tuple(np.array(outline, dtype=np.float64) for outline in action.outlines)
-    if run.grid is not None:
-        costmap = _costmap(run, run.grid, outlines)
+    if run.loaded is not None:
+        costmap = _costmap(run, run.loaded.grid, outlines)
         for number, outline in enumerate(outlines, start=1):
             if not polygon_mask(costmap, outline).any():
                 raise InputError(f"keepout {number}: lies outside the map; draw it on the map")
@@ -220,7 +221,7 @@ def _sequence(run: Run, goals: Sequence[Waypoint], changes: Mapping[str, float])
 
 
 def _new_map(run: Run) -> None:
-    run.grid = run.map_name = run.room.publisher.grid = None
+    run.loaded = run.room.publisher.grid = None
     run.pilot.start_mapping()
     run.frame_changed()
 
@@ -229,16 +230,16 @@ def _costmap(run: Run, grid: OccupancyGrid, keepout: Sequence[Array]) -> Costmap
     return costmap_from_grid(grid, run.room.setup.config.costmap, keepout)
 
 
-def _on_map(run: Run, what: str) -> tuple[NavigationDriver, OccupancyGrid]:
-    """The driver on the map that is loaded; InputError without one."""
-    if run.pilot.navigation is None or run.grid is None:
+def _on_map(run: Run, what: str) -> tuple[NavigationDriver, LoadedMap]:
+    """The driver on the map that is loaded, and that; InputError without one."""
+    if run.pilot.navigation is None or run.loaded is None:
         raise InputError(f"{what}: needs a map; load one first")
-    return run.pilot.navigation, run.grid
+    return run.pilot.navigation, run.loaded
 
 
-def _localised(run: Run, what: str) -> NavigationDriver:
+def _localised(run: Run, what: str) -> tuple[NavigationDriver, LoadedMap]:
     """The same, for a robot that was told where it is."""
-    navigation, _ = _on_map(run, what)
+    found = _on_map(run, what)
     if not run.pilot.told:
         raise InputError(f"{what}: the robot does not know where it is; give a pose estimate first")
-    return navigation
+    return found

@@ -7,6 +7,7 @@ decide.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,26 @@ ROUNDED_S = 0.1
 """So much later than the bag's end may be asked for: those who ask have a rounded time."""
 
 
+@dataclass(frozen=True, eq=False)
+class Online:
+    """A map in the making: by the scans from `first` on, of which those still to come are `waiting`."""
+
+    mapper: Mapper
+    first: int
+    waiting: Iterator[tuple[Scan, SE2 | Trajectory | None]]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A map as it was drawn last; `trajectory` and `edits` are those of a map of the whole bag."""
+
+    layer: MapLayer
+    graph: ShownGraph
+    T_map_odom: SE2
+    trajectory: Trajectory | None = None
+    edits: Edits | None = None
+
+
 class Playback(Sitting):
     """Of a bag that can be mapped. InputError for any other."""
 
@@ -48,16 +69,12 @@ class Playback(Sitting):
         self._edits = Edits()
         self._trails = {"odom": Trail(), "slam": Trail()}
         self._slam_path = NO_PATH
-        self._layer: MapLayer | None = None
-        self._graph: ShownGraph | None = None
+        self._online: Online | None = None
+        self._drawn: Drawn | None = None
+        self._built: Drawn | None = None
+        """The map of the whole bag that was made last."""
         self._loop: LoopMarks | None = None
         self._cached = Cached()
-        self._mapper: Mapper | None = None
-        self._waiting: Iterator[tuple[Scan, SE2 | Trajectory | None]] = iter(())
-        self._first = 0
-        self._built: tuple[Edits, MapLayer] | None = None
-        self._trajectory: Trajectory | None = None
-        self._T_map_odom = SE2.identity()
         self._interrupted = False
         self._position_ns = 0
         self._scan = -1
@@ -88,7 +105,7 @@ class Playback(Sitting):
         if self.idle:
             self._draw()
             self._events.add(self._position_ns, "the bag is at its end")
-        elif self._mapper is not None and self._step % DRAWN_EVERY == 0:
+        elif self._online is not None and self._step % DRAWN_EVERY == 0:
             self._draw()
 
     def interrupt(self) -> None:
@@ -148,7 +165,7 @@ class Playback(Sitting):
         """Play from there on; the online mapper stops, because it has not seen what lies between."""
         if t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
             raise InputError(f"seek: the bag ends after {self._at_ns[-1] * 1e-9:.1f} s")
-        self._mapper = None
+        self._online = None
         for trail in self._trails.values():
             trail.clear()
         self._position_ns = min(round(t * 1e9), int(self._at_ns[-1]))
@@ -161,11 +178,11 @@ class Playback(Sitting):
         self._position_ns = min(position_ns, int(self._at_ns[-1]))
         while self._scan < len(self._log) - 1 and self._at_ns[self._scan + 1] <= self._position_ns:
             self._scan += 1
-            if self._mapper is not None:
-                scan, odometry = next(self._waiting)
-                jumps = len(self._mapper.jumps)
-                T_map_base = self._mapper.add(scan, odometry)
-                if len(self._mapper.jumps) > jumps:
+            if self._online is not None:
+                mapper, (scan, odometry) = self._online.mapper, next(self._online.waiting)
+                jumps = len(mapper.jumps)
+                T_map_base = mapper.add(scan, odometry)
+                if len(mapper.jumps) > jumps:
                     self._draw()
                 else:
                     self._trails["slam"].add(T_map_base.xy)
@@ -175,49 +192,49 @@ class Playback(Sitting):
     # Mapping
 
     def _map_start(self) -> str:
-        if self._mapper is not None:
+        if self._online is not None:
             raise InputError("map_start: the bag is being mapped already")
         if self.idle:
             raise InputError("map_start: the bag is at its end; go back first")
-        self._mapper = Mapper(self._log.lidar, self._log.T_base_lidar)
-        self._first = self._scan + 1
-        self._waiting = heard(self._log, self._first)
-        self._layer = self._graph = self._loop = self._trajectory = None
+        mapper, first = Mapper(self._log.lidar, self._log.T_base_lidar), self._scan + 1
+        self._online = Online(mapper, first, heard(self._log, first))
+        self._drawn = self._loop = None
         self._trails["slam"].clear()
         return "mapping from here on"
 
     def _map_stop(self) -> str:
-        if self._mapper is None:
+        if self._online is None:
             raise InputError("map_stop: no map is being made")
         self._draw()
-        self._mapper = None
+        self._online = None
         return "mapping stopped"
 
     def _draw(self) -> None:
         """The online map, its graph and its path."""
-        if self._mapper is None or len(self._mapper) < 2:
+        if self._online is None or len(self._online.mapper) < 2:
             return
-        self._layer = MapLayer(self._mapper.map())
-        self._T_map_odom = self._mapper.T_map_odom
-        self._graph = graph_of_mapper(self._mapper, self._first)
-        self._slam_path = ShownPath(self._slam_path.version + 1, self._mapper.trajectory.poses.xy)
+        mapper = self._online.mapper
+        graph = graph_of_mapper(mapper, self._online.first)
+        self._drawn = Drawn(MapLayer(mapper.map()), graph, mapper.T_map_odom)
+        self._draw_path(mapper.trajectory)
+
+    def _draw_path(self, trajectory: Trajectory) -> None:
+        self._slam_path = ShownPath(self._slam_path.version + 1, trajectory.poses.xy)
         self._trails["slam"].clear()
 
     def _build(self) -> str:
         """Map the whole bag, with the loop edits."""
-        if self._built is not None and self._built[0] == self._edits and self._layer is self._built[1]:
+        if self._built is not None and self._built.edits == self._edits and self._drawn is self._built:
             return "the map of the whole bag is shown already"
         try:
             result = run_slam(self._log, SlamConfig(), self._until_interrupted, edits=self._edits)
         except InputError as error:
             raise InputError(str(error).removeprefix("--edits: ")) from None
-        self._mapper, self._trajectory = None, result.trajectory
-        self._layer = MapLayer(result.grid)
-        self._built = self._edits, self._layer
-        self._graph = graph_of(result)
-        self._loop = None
-        self._trails["slam"].clear()
-        self._slam_path = ShownPath(self._slam_path.version + 1, result.trajectory.poses.xy)
+        graph = graph_of(result)
+        built = Drawn(MapLayer(result.grid), graph, SE2.identity(), result.trajectory, self._edits)
+        self._drawn = self._built = built
+        self._online = self._loop = None
+        self._draw_path(result.trajectory)
         refused = 0
         for added, loop in zip(self._edits.add, result.loops, strict=False):
             if not loop.accepted:
@@ -225,24 +242,24 @@ class Playback(Sitting):
                 self._events.add(self._position_ns, text, "warning")
                 refused += 1
         check = result.check.as_metrics()
-        told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(self._graph.loops)} loops"
+        told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
         return f"{told}; {refused} of the added loops rejected" if refused else told
 
     def _map_save(self, name: str) -> str:
         """The map of the whole bag under a name, built first where it is not what was said since."""
         self._library.check_name(name)
-        if self._built is None or self._built[0] != self._edits:
+        if self._built is None or self._built.edits != self._edits:
             self._events.add(self._position_ns, self._build())
         assert self._built is not None
-        self._library.save_map(name, self._built[1].grid, ())
+        self._library.save_map(name, self._built.layer.grid, ())
         return f"map {name} saved"
 
     # Loops
 
     def _show(self, action: inputs.Scans) -> str:
-        if self._graph is None:
+        if self._drawn is None:
             raise InputError("loop_show: there is no graph yet; map the bag first")
-        self._loop = self._graph.laid(self._log, action.scan, action.place)
+        self._loop = self._drawn.graph.laid(self._log, action.scan, action.place)
         return ""
 
     def _reject(self, action: inputs.Scans) -> str:
@@ -263,8 +280,8 @@ class Playback(Sitting):
         """Keep what was said; it is on disk at once."""
         try:
             edits.require_scans(len(self._log), self._log.source)
-            if self._graph is not None and self._trajectory is not None:
-                KeyEdits.of(edits, self._graph.keys)
+            if self._drawn is not None and self._drawn.trajectory is not None:
+                KeyEdits.of(edits, self._drawn.graph.keys)
         except InputError as error:
             raise InputError(str(error).removeprefix("--edits: ")) from None
         told = edits.model_dump(mode="json", exclude_defaults=True)
@@ -283,15 +300,15 @@ class Playback(Sitting):
         if self._log.T_odom_base is not None:
             T_odom_base = self._log.T_odom_base[max(self._scan, 0)]
         T_map_base = self._pose(T_odom_base)
-        mapping = self._mapper is not None
+        drawn, mapper = self._drawn, None if self._online is None else self._online.mapper
         return View(
             stamp_ns=self._position_ns,
             ended=self.ended,
-            state="mapping" if mapping else "at its end" if self.idle else "playing",
-            mapping=mapping,
+            state="mapping" if mapper is not None else "at its end" if self.idle else "playing",
+            mapping=mapper is not None,
             maps=self._library.maps,
-            sure=self._mapper.fit if self._mapper is not None and len(self._mapper) else None,
-            lost="scans fit nothing seen before" if self._mapper is not None and self._mapper.lost else None,
+            sure=mapper.fit if mapper is not None and len(mapper) else None,
+            lost="scans fit nothing seen before" if mapper is not None and mapper.lost else None,
             T_map_base=T_map_base,
             T_odom_base=T_odom_base,
             T_world_base=T_map_base,
@@ -299,18 +316,19 @@ class Playback(Sitting):
             scan=self._points(T_map_base),
             odom_path=self._trails["odom"].path,
             slam_path=self._slam_path if self._trails["slam"].path.points.size == 0 else self._longer(),
-            graph=None if self._graph is None else self._graph.graph,
-            map=self._layer,
+            graph=None if drawn is None else drawn.graph.graph,
+            map=None if drawn is None else drawn.layer,
             bag=self._marks(),
         )
 
     def _pose(self, T_odom_base: SE2) -> SE2:
         """Where the newest scan was taken, by the best that is known."""
-        if self._mapper is not None and len(self._mapper):
-            return self._mapper.T_map_base
-        if self._trajectory is not None and self._scan >= 0:
-            return self._trajectory.poses[self._scan]
-        return self._T_map_odom @ T_odom_base
+        drawn = self._drawn
+        if self._online is not None and len(self._online.mapper):
+            return self._online.mapper.T_map_base
+        if drawn is not None and drawn.trajectory is not None and self._scan >= 0:
+            return drawn.trajectory.poses[self._scan]
+        return T_odom_base if drawn is None else drawn.T_map_odom @ T_odom_base
 
     def _points(self, T_map_base: SE2) -> Array | None:
         if self._scan < 0:
@@ -326,11 +344,10 @@ class Playback(Sitting):
     def _marks(self) -> BagMarks:
         edits = [("reject", loop.scan, loop.place) for loop in self._edits.reject]
         edits += [("add", loop.scan, loop.place) for loop in self._edits.add]
-        graph = self._graph
         return BagMarks(
             self._position_ns * 1e-9,
             float(self._at_ns[-1]) * 1e-9,
-            NO_KEYS if graph is None else graph.keys,
+            NO_KEYS if self._drawn is None else self._drawn.graph.keys,
             self._loop,
             tuple(edits),
         )

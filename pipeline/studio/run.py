@@ -30,6 +30,15 @@ FAR_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
+class LoadedMap:
+    """The map that the robot goes by: the name it was asked for by, if any, and its file."""
+
+    grid: OccupancyGrid
+    name: str | None
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
 class Room:
     """What outlasts a reset."""
 
@@ -62,10 +71,7 @@ class Run:
         self.visuals = Visuals(self.pilot)
         self.command = Twist()
         self.doing = ""
-        self.grid: OccupancyGrid | None = None
-        """The map that is loaded."""
-        self.map_name: str | None = None
-        self.map_path = Path()
+        self.loaded: LoadedMap | None = None
         self.keepout: tuple[Array, ...] = setup.arena.keepout
         self.boxes = np.zeros((0, 4))
         """Dropped so far, see `View.boxes`."""

@@ -18,7 +18,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
 from turtlebag.pipeline.studio.frames import Frames, bye, hello
 from turtlebag.pipeline.studio.inputs import Button, Control, Input, Layers, Malformed, Speed, parse_message
-from turtlebag.pipeline.studio.session_thread import Pace, SessionThread
+from turtlebag.pipeline.studio.pace import Pace
+from turtlebag.pipeline.studio.session_thread import SessionThread
 from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 

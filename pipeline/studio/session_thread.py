@@ -10,12 +10,11 @@ import logging
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.inputs import DRIVING, Button, Drive, Input, Plain, Speed
+from turtlebag.pipeline.studio.pace import Pace, Pacer
 from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
@@ -25,18 +24,7 @@ FRAME_S = 0.1
 IDLE_S = 0.05
 """How long the thread waits at most before it looks at the clock again."""
 BUSY_S = 1.0
-LATE_S = 0.25
-"""So far behind its pace a session gives up catching up."""
 log = logging.getLogger("turtlebag")
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How the simulated time passes: `factor` of the wall's, `asked` for (0: as fast as it goes)."""
-
-    factor: float
-    asked: float
-    paused: bool
 
 
 Refused = Callable[[str], None]
@@ -51,9 +39,8 @@ class SessionThread:
         self._thread = threading.Thread(target=self._run, name="session")
         self._wanted = threading.Event()
         self._over = False
-        self._asked, self._paused, self._steps = 1.0, False, 0
-        self._due = self._view_due = 0.0
-        self._ticks: deque[tuple[float, int]] = deque()
+        self._pacer = Pacer(session.period_ns * 1e-9)
+        self._view_due = 0.0
         self._drive: Drive | None = None
         self._driven = 0.0
         self._doing, self._since = "", time.monotonic()
@@ -90,7 +77,7 @@ class SessionThread:
 
     def control(self, asked: Button | Speed) -> None:
         """Let the simulated time stand still, go on, do one tick, or pass at another speed."""
-        self._todo.put(lambda: self._control(asked))
+        self._todo.put(lambda: self._pacer.control(asked))
 
     def want_view(self) -> None:
         """Have the next view shown that is due; until then, none is made."""
@@ -100,17 +87,16 @@ class SessionThread:
 
     def _run(self) -> None:
         try:
-            self._due = time.monotonic()
             while not self._over and not self._session.ended:
                 self._do_what_is_asked()
                 self._stop_unless_driven()
-                if not self._over and self._may_tick():
+                if not self._over and not self._session.idle and self._pacer.take():
                     self._begin("tick")
                     self._session.tick()
-                    self._count()
+                    self._pacer.count(self._session.stamp_ns)
                 self._begin("")
                 self._show_if_wanted()
-            self._show(self._session.view(), self._pace())
+            self._show(self._session.view(), self._pacer.pace(idle=self._session.idle))
         except BaseException as error:
             self.failure = error
 
@@ -131,28 +117,8 @@ class SessionThread:
             wait = 0.0
 
     def _wait_s(self) -> float:
-        if self._steps:
-            return 0.0
-        if self._paused or self._session.idle:
-            return IDLE_S
-        return 0.0 if self._asked == 0.0 else min(self._due - time.monotonic(), IDLE_S)
-
-    def _may_tick(self) -> bool:
-        """Whether the next tick is due; if so, when the one after it will be."""
-        if self._session.idle:
-            return False
-        if self._paused:
-            self._steps, step = max(self._steps - 1, 0), self._steps
-            return step > 0
-        if self._asked == 0.0:
-            return True
-        now = time.monotonic()
-        if now < self._due:
-            return False
-        self._due += self._session.period_ns * 1e-9 / self._asked
-        if now - self._due > LATE_S:
-            self._due = now
-        return True
+        wait = None if self._session.idle else self._pacer.wait_s()
+        return IDLE_S if wait is None else min(wait, IDLE_S)
 
     def _take(self, entry: Input, at: float, refused: Refused) -> None:
         """An input of the page. A speed that is asked for again only says that somebody is there."""
@@ -179,33 +145,9 @@ class SessionThread:
         if self._drive is not None and time.monotonic() - self._driven > HEARTBEAT_S:
             self._apply(Plain(do="stop"), log.warning)
 
-    def _control(self, asked: Button | Speed) -> None:
-        if asked.do == "step":
-            self._steps += self._paused
-            return
-        if isinstance(asked, Speed):
-            self._asked = asked.factor
-        else:
-            self._paused, self._steps = asked.do == "pause", 0
-        self._due = time.monotonic()
-        self._ticks.clear()
-
-    def _count(self) -> None:
-        now = time.monotonic()
-        self._ticks.append((now, self._session.stamp_ns))
-        while now - self._ticks[0][0] > 1.0 and len(self._ticks) > 2:
-            self._ticks.popleft()
-
-    def _pace(self) -> Pace:
-        factor = 0.0
-        if not self._paused and not self._session.idle and len(self._ticks) > 1:
-            (begun, first), (now, last) = self._ticks[0], self._ticks[-1]
-            factor = (last - first) * 1e-9 / max(now - begun, FRAME_S)
-        return Pace(round(factor, 2), self._asked, self._paused)
-
     def _show_if_wanted(self) -> None:
         now = time.monotonic()
         if self._wanted.is_set() and now >= self._view_due:
             self._wanted.clear()
             self._view_due = max(self._view_due + FRAME_S, now)
-            self._show(self._session.view(), self._pace())
+            self._show(self._session.view(), self._pacer.pace(idle=self._session.idle))

@@ -1,0 +1,79 @@
+"""How simulated time passes beside the wall's: when the next tick is due, and how fast ticks come."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from turtlebag.pipeline.studio.inputs import Button, Speed
+
+LATE_S = 0.25
+"""So far behind its pace a session gives up catching up."""
+MEASURED_S, LEAST_S = 1.0, 0.1
+"""The pace is that of the last second, and of no less than a tenth of one."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How the simulated time passes: `factor` of the wall's, `asked` for (0: as fast as it goes)."""
+
+    factor: float
+    asked: float
+    paused: bool
+
+
+class Pacer:
+    """Of ticks that are `period_s` of simulated time apart."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._asked, self._paused, self._single = 1.0, False, 0
+        self._due = time.monotonic()
+        self._ticks: deque[tuple[float, int]] = deque()
+
+    def control(self, asked: Button | Speed) -> None:
+        """Stand still, go on, do one tick, or pass at another speed."""
+        if asked.do == "step":
+            self._single += self._paused
+            return
+        if isinstance(asked, Speed):
+            self._asked = asked.factor
+        else:
+            self._paused, self._single = asked.do == "pause", 0
+        self._due = time.monotonic()
+        self._ticks.clear()
+
+    def wait_s(self) -> float | None:
+        """How long until the next tick is due; None while none will be."""
+        if self._paused:
+            return 0.0 if self._single else None
+        return 0.0 if self._asked == 0.0 else max(self._due - time.monotonic(), 0.0)
+
+    def take(self) -> bool:
+        """Whether a tick is due; if so, it is taken as done, and the next one is due later."""
+        if self.wait_s() != 0.0:
+            return False
+        if self._paused:
+            self._single -= 1
+        elif self._asked:
+            self._due += self._period_s / self._asked
+            now = time.monotonic()
+            if now - self._due > LATE_S:
+                self._due = now
+        return True
+
+    def count(self, stamp_ns: int) -> None:
+        """A tick that led to this simulated time is over."""
+        now = time.monotonic()
+        self._ticks.append((now, stamp_ns))
+        while now - self._ticks[0][0] > MEASURED_S and len(self._ticks) > 2:
+            self._ticks.popleft()
+
+    def pace(self, *, idle: bool) -> Pace:
+        """How time passes now; `idle` where it stands still by itself."""
+        factor = 0.0
+        if not self._paused and not idle and len(self._ticks) > 1:
+            (begun, first), (now, last) = self._ticks[0], self._ticks[-1]
+            factor = (last - first) * 1e-9 / max(now - begun, LEAST_S)
+        return Pace(round(factor, 2), self._asked, self._paused)
