@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from turtlebag.datasets.se2 import Array
@@ -24,3 +25,8 @@ class Constraint:
     information: Array
     kind: Kind
     cauchy: float = 0.0
+
+
+def firm(loops: Sequence[Constraint]) -> list[Constraint]:
+    """Loops without their kernels, which from far away would take every one for an outlier."""
+    return [replace(loop, cauchy=0.0) for loop in loops]

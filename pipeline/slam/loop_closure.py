@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, firm
 from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places, relaxed
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks
@@ -85,9 +85,7 @@ def _added(
     loops = [closing.config.constraint(loop) for loop in added if loop.accepted]
     if not loops:
         return added, T_map_keys
-    # first without kernels: from far away they would take every loop for an outlier
-    firm = [replace(loop, cauchy=0.0) for loop in loops]
-    roughly = solved(closing.back_end, T_map_keys, [*steps, *firm])
+    roughly = solved(closing.back_end, T_map_keys, [*steps, *firm(loops)])
     return added, solved(closing.back_end, roughly, [*steps, *loops])
 
 

@@ -24,7 +24,7 @@ from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.correspondences import ROUGH, Limits
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, firm
 from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, THROUGH_M, mean_violation
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed, require_alignment
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
@@ -102,9 +102,7 @@ def recognise_places(
         poses, segment = _laid_together(poses, segment, members)
     loops = [by_distance.constraint(place) for members in believed for place in members]
     free = [*relaxed(steps, released), *known]
-    # first without kernels: from far away they would take every loop for an outlier
-    firm = [replace(loop, cauchy=0.0) for loop in loops]
-    closed = solved(back_end, SE2(poses), [*free, *firm])
+    closed = solved(back_end, SE2(poses), [*free, *firm(loops)])
     return Recognition(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
 
 

@@ -19,7 +19,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, firm
 from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopConfig, LoopSearch
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
@@ -137,9 +137,7 @@ def close_loops(
     recognised = finder.recognised() if config.appearance else []
     known = [finder.config.constraint(loop) for loop in recognised if loop.accepted]
     if known:
-        # first without kernels: from far away they would take every loop for an outlier
-        firm = [replace(constraint, cauchy=0.0) for constraint in known]
-        start = optimise(finder.T, [*steps, *finder.loops, *firm])
+        start = optimise(finder.T, [*steps, *finder.loops, *firm(known)])
         start = optimise(start, [*steps, *finder.loops, *known])
         finder = CloudLoops(keys, start, steps, voxel, config.every, known)
     return finder, recognised
