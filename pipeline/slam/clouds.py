@@ -130,7 +130,7 @@ def make_clouds(
         these, ranges = slice(part[0], part[-1]), readings[rows][valid[rows]].astype(np.float64)
         _place(valid[rows], ranges, lidar.directions, recording.T_base_lidar.xyt, knots[rows], points[these])
         centers[these], point_var[these] = points[these], noise.variance(ranges)
-        _fit_lines(points, part, origin, increment, normals, centers, line_ok, point_var, normal_var)
+        _fit_lines(points, part, origin, increment, (normals, centers, line_ok, point_var, normal_var))
         _bearing_tables(points, part, origin, table[rows])
 
     in_parts(prepare, len(readings))
@@ -211,22 +211,16 @@ def _place(
 
 @njit(cache=True, nogil=True)
 def _fit_lines(
-    points: Array,
-    starts: NDArray,
-    origin: Array,
-    increment: float,
-    normals: NDArray,
-    centers: NDArray,
-    ok: NDArray,
-    point_var: NDArray,
-    normal_var: NDArray,
+    points: Array, starts: NDArray, origin: Array, increment: float, lines: tuple[NDArray, ...]
 ) -> None:
-    """Total least squares line through each point's neighbours in beam order, into the last five.
+    """Total least squares line through each point's neighbours in beam order, into `lines`: normals, centers,
+    line_ok, point_var, normal_var.
 
     The line grows beam by beam to either side for as long as what its returns lie off it is their noise
     (chi-squared test), up to the reach that makes its direction sure. `point_var` comes in as the
     variance of the ranges.
     """
+    normals, centers, ok, point_var, normal_var = lines
     range_var = point_var.copy()
     # Arrays made once: numba counts references to a list at every access, by atomic operations.
     sums, ends, alive = np.zeros(5), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)

@@ -8,7 +8,7 @@ reference scan saw is neither hit nor miss: a robot that enters a room is not he
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,7 @@ from turtlebag.pipeline.slam.clouds import Clouds
 UNSEEN = 128
 
 
-@dataclass(frozen=True, eq=False)
-class Field:
+class Field(NamedTuple):
     """Scores 0..255 by cell; row 0 has the lowest y. `corner` is the outer corner of cell (0, 0) [m]."""
 
     values: NDArray[np.uint8]
@@ -58,9 +57,7 @@ def best_pose(
     """
     # Points of one layout, or it would be compiled once more.
     return _search(
-        field.values,
-        field.corner,
-        field.resolution,
+        field,
         np.ascontiguousarray(points),
         np.asarray(center),
         math.ceil(window_m / field.resolution),
@@ -126,15 +123,9 @@ def _splat(values: NDArray, points: Array, corner: Array, resolution: float, sta
 
 @njit(cache=True)
 def _search(
-    values: NDArray,
-    corner: Array,
-    resolution: float,
-    points: Array,
-    center: Array,
-    n_xy: int,
-    n_yaw: int,
-    step_rad: float,
+    field: Field, points: Array, center: Array, n_xy: int, n_yaw: int, step_rad: float
 ) -> tuple[Array, float]:
+    values, corner, resolution = field
     rows, cols = values.shape
     n = len(points)
     side = 2 * n_xy + 1

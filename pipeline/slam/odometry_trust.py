@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -94,29 +95,30 @@ class OdometryTrust:
         at once. Wheels that drive no way, as in a turn on the spot, confirm nothing. A turn that scans
         contradict says little of the way: it may be told late.
         """
-        floor, share = self._noise.floor, self._noise.share
-        self._held, self._lies = _judged(
-            self._last, self._held, self._lies, odometry_step, T_map_base, seen, True, floor, share
-        )
+        told, noise = Told(odometry_step, T_map_base, seen, True), (self._noise.floor, self._noise.share)
+        self._held, self._lies = _judged(self._last, self._held, self._lies, told, noise)
+
+
+class Told(NamedTuple):
+    """A step by odometry (3,), the pose that ends it by the scans (3,), and what the scan there saw (3, 3).
+
+    Odometry that the pose may have been taken from (not `independent`) confirms nothing.
+    """
+
+    step: Array
+    pose: Array
+    seen: Array
+    independent: bool
 
 
 @njit(cache=True, nogil=True)
-def _judged(
-    last: Array,
-    held: int,
-    lies: int,
-    step: Array,
-    pose: Array,
-    seen: Array,
-    independent: bool,
-    floor: float,
-    share: float,
-) -> tuple[int, int]:
+def _judged(last: Array, held: int, lies: int, told_now: Told, noise: tuple[float, float]) -> tuple[int, int]:
     """`OdometryTrust.judge`: how many of `last` are held, and lies so far.
 
-    `last` (RECENT + 1, 2, 3) are poses by odometry and by the scans, the newest at its end. Odometry that the
-    pose may have been taken from (not `independent`) confirms nothing.
+    `last` (RECENT + 1, 2, 3) are poses by odometry and by the scans, the newest at its end; `noise` is the
+    floor and share of `OdometryNoise`.
     """
+    (step, pose, seen, independent), (floor, share) = told_now, noise
     newest = _composed(last[-1, 0], step)
     for k in range(len(last) - 1):
         last[k] = last[k + 1]
@@ -169,7 +171,7 @@ def _sigma(motion: Array, floor: float, share: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _caught(
-    steps: Array, poses: Array, seen: Array, independent: NDArray, new: NDArray, floor: float, share: float
+    steps: Array, poses: Array, seen: Array, independent: NDArray, new: NDArray, noise: tuple[float, float]
 ) -> NDArray:
     """Whether the odometry is not believed after each of its steps (n, 3), which end at `poses` (n, 3); at
     those that are `new` (n,) nothing is known of what was before."""
@@ -178,7 +180,7 @@ def _caught(
     for k in range(len(steps)):
         if new[k]:
             held, lies = 0, 0
-        held, lies = _judged(last, held, lies, steps[k], poses[k], seen[k], independent[k], floor, share)
+        held, lies = _judged(last, held, lies, Told(steps[k], poses[k], seen[k], independent[k]), noise)
         caught[k] = lies >= SEVERAL
     return caught
 
@@ -199,7 +201,7 @@ def disbelieved(
         steps, scans = track.calibration.corrected(T_odom[order].steps()), order[1:]
         new = np.isin(scans, borders if order[0] == 0 else borders - 1)
         seen = track.information[scans]
-        doubted[scans] |= _caught(steps, poses[scans], seen, ~unseen[scans], new, noise.floor, noise.share)
+        doubted[scans] |= _caught(steps, poses[scans], seen, ~unseen[scans], new, (noise.floor, noise.share))
     return doubted
 
 

@@ -131,9 +131,9 @@ def _equations(
         c, s = math.cos(dyaw), math.sin(dyaw)
         whole, right = 1e-9 * np.eye(6), np.zeros(6)
         whole[3, 3] = information
-        _half(clouds, straight, keys[b], keys[a], (tx, ty, c, s), limits, False, (whole, right))
+        _half(clouds, straight, (keys[b], keys[a]), (tx, ty, c, s), limits, False, (whole, right))
         ix, iy = -c * tx - s * ty, s * tx - c * ty
-        _half(clouds, straight, keys[a], keys[b], (ix, iy, c, -s), limits, True, (whole, right))
+        _half(clouds, straight, (keys[a], keys[b]), (ix, iy, c, -s), limits, True, (whole, right))
         absorbed = np.linalg.solve(whole[:4, :4].copy(), whole[:4, 4:].copy())
         h += whole[4:, 4:] - whole[4:, :4].copy() @ absorbed
         g += right[4:] - absorbed.T.copy() @ right[:4].copy()
@@ -144,20 +144,19 @@ def _equations(
 def _half(
     clouds: Clouds,
     straight: NDArray,
-    scan: int,
-    key: int,
+    pair: tuple[int, int],
     T_key_scan: tuple[float, float, float, float],
     limits: Limits,
     inverted: bool,
     equations: tuple[Array, Array],
 ) -> None:
-    """Add the equations (6, 6), (6,) of `scan`'s points against `key`'s lines.
+    """Add the equations (6, 6), (6,) of a scan's points against a key's lines, of a pair (scan, key).
 
     T_key_scan is as in `partner_line`. The unknowns are a right perturbation of the pair's pose, the share by
     which the pair's second scan has longer ranges than its first, then offset and square.
     """
     points, normals, centers, origin = clouds.points, clouds.normals, clouds.centers, clouds.origin
-    (tx, ty, c, s), (h, g) = T_key_scan, equations
+    (tx, ty, c, s), (h, g), (scan, key) = T_key_scan, equations, pair
     row_of = np.zeros(6)
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not straight[r]:

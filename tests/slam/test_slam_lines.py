@@ -102,7 +102,7 @@ def test_scans_do_not_grow_into_each_other_and_far_places_reach_further():
     shape = points.shape
     normals, centers, ok = np.zeros(shape), points.copy(), np.zeros(18, dtype=bool)
     point_var, normal_var = np.zeros(18), np.zeros(18)
-    _fit_lines(points, starts, np.zeros(2), 0.01, normals, centers, ok, point_var, normal_var)
+    _fit_lines(points, starts, np.zeros(2), 0.01, (normals, centers, ok, point_var, normal_var))
     assert ok.all()
     np.testing.assert_allclose(normals, np.tile([-1.0, 0.0], (18, 1)), atol=1e-9)
     np.testing.assert_allclose(centers[[4, 13]], [[2.0, 0.0], [2.0, 0.17]], atol=1e-9)
