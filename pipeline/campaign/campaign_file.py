@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -111,6 +112,15 @@ class Campaign(Settings):
     def factor_names(self) -> list[str]:
         """All factors, the bags first."""
         return [*([BAG] if self.bags else []), *self.factors]
+
+    @property
+    def names(self) -> dict[str, tuple[str, str]]:
+        """What each result is called, and its unit."""
+        return {key: (item.label or key.replace("_", " "), item.unit) for key, item in self.results.items()}
+
+    def chosen(self, row: Mapping[str, Any]) -> str:
+        """The levels of a case by its row of the table."""
+        return ", ".join(f"{factor} {row[factor]}" for factor in self.factor_names)
 
     @model_validator(mode="after")
     def _names_agree(self) -> Campaign:

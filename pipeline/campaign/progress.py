@@ -4,19 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from turtlebag.datasets.outputs import Stopwatch
 from turtlebag.datasets.urls import reason_of
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Row, Where, kept_at
 from turtlebag.pipeline.campaign.cases import Case
-from turtlebag.pipeline.campaign.results import PAGE, names_of
 from turtlebag.pipeline.terminal.messages import log
-from turtlebag.reports.campaign_page import Running, Worst, render_running
+from turtlebag.reports.numbers import DASH, shown
+from turtlebag.reports.page import fill
 
+PAGE = "index.html"
 EVERY_S = 5.0
 SHOWN = 20
 """Failures that the page lists: the newest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Worst:
+    """The case with the largest value of a result, called `label`; `link` leads to its files."""
+
+    row: Row
+    label: str
+    value: float
+    unit: str
+    link: str
 
 
 class Progress:
@@ -52,25 +65,38 @@ class Progress:
 
     def _link(self, row: Row, value: float) -> Worst:
         case, stage = self._cases[row["case"]], self._campaign.results[self._result].at.partition(":")[0]
-        label, unit = names_of(self._campaign)[self._result]
         folder = kept_at(case, self._campaign, self._where.maker, stage)
+        label, unit = self._campaign.names[self._result]
         return Worst(row, label, value, unit, f"{folder}/metrics.json")
 
     def _write(self, now_s: float) -> None:
+        """The page, which a browser loads again every so often."""
         self._written_s = now_s
-        new, total = self._done - self._before, len(self._cases)
-        running = Running(
-            self._campaign.name,
-            self._campaign.question,
-            self._campaign.factor_names,
-            total,
-            self._done,
-            self._failed,
-            new / now_s if now_s > 0.0 else 0.0,
-            self._failures[::-1],
-            self.worst,
+        done, total = self._done, len(self._cases)
+        rate = (done - self._before) / now_s if now_s > 0.0 else 0.0
+        page = fill(
+            "campaign_running.html.j2",
+            campaign=self._campaign,
+            done=done,
+            total=total,
+            failed=self._failed,
+            failures=self._failures[::-1],
+            worst=self.worst,
+            share=shown(done / total, "percent") if total else DASH,
+            rate=f"{60.0 * rate:.3g}" if rate > 0.0 else DASH,
+            left=_duration((total - done) / rate) if rate > 0.0 else DASH,
+            shown=shown,
+            again_s=round(EVERY_S),
         )
         try:
-            self._where.runs.put(PAGE, render_running(running, EVERY_S).encode())
+            self._where.runs.put(PAGE, page.encode())
         except Exception as error:  # a page that is not there ends no campaign; the next one may be
             log.warning(f"{self._where.runs.url}/{PAGE}: cannot be written ({reason_of(error)})")
+
+
+def _duration(seconds: float) -> str:
+    """A time span for people, to two units."""
+    for size, unit, smaller, name in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if seconds >= size:
+            return f"{int(seconds // size)} {unit} {int(seconds % size // smaller)} {name}"
+    return f"{int(seconds)} s"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,16 +13,19 @@ from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.case import Row
+from turtlebag.pipeline.campaign.figures import draw_figures, words
+from turtlebag.pipeline.campaign.progress import PAGE, Worst
+from turtlebag.pipeline.campaign.statistics import PairedSummary, compare_pairs, levels_of, summarise
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import write_table
-from turtlebag.reports.campaign import compare_pairs, levels_of, summarise
-from turtlebag.reports.campaign_page import Study, Worst, draw_campaign, render_campaign
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.figures.campaign import Wish
+from turtlebag.reports.numbers import shown
+from turtlebag.reports.page import fill
 
-PAGE = "index.html"
 MANY = 100
 """A factor of more levels has no statistics of each, and the table no file for each."""
+MOST_FAILURES = 1000
+"""So many failed cases are listed."""
 
 
 def write_results(
@@ -46,31 +51,34 @@ def write_results(
         },
     )
     album = Album(folder / "figures", paper=True)
-    names = names_of(campaign)
-    wishes = [
-        Wish(f.x, f.y, names[f.y][0], f.unit or names[f.y][1], f.lines, f.panels, f.title, f.log)
-        for f in campaign.figures
-    ]
-    draw_campaign(wishes, rows, campaign.seed, album)
-    study = Study(
-        campaign.name,
-        campaign.question,
-        campaign.factor_names,
-        rows,
-        names,
-        summaries,
-        pairs,
-        campaign.compare or "",
-        campaign.against,
-        source,
-        config_text(campaign),
-        worst,
-    )
-    (folder / PAGE).write_text(
-        render_campaign(study, album.pictures, "" if runs.is_local else f"{runs.url}/")
-    )
+    draw_figures(campaign, rows, album)
+    failed = [row for row in rows if row["failed"]]
+
+    def page(base: str) -> str:
+        """The page as HTML text; `base` stands before links to the files of cases."""
+        return fill(
+            "campaign.html.j2",
+            campaign=campaign,
+            rows=rows,
+            sizes=_sizes(campaign, rows),
+            summaries=summaries,
+            pairs=pairs,
+            failed=len(failed),
+            failures=failed[:MOST_FAILURES],
+            pictures=album.pictures,
+            against=f"{words(campaign.compare or '')} = {words(campaign.against)}",
+            clear=_clear(campaign, pairs),
+            source=shlex.quote(source),
+            file=config_text(campaign),
+            worst=worst,
+            base=base,
+            words=words,
+            shown=shown,
+        )
+
+    (folder / PAGE).write_text(page("" if runs.is_local else f"{runs.url}/"))
     if not runs.is_local:
-        runs.put(PAGE, render_campaign(study, album.pictures, "").encode())
+        runs.put(PAGE, page("").encode())
 
 
 def _partition(campaign: Campaign, few: Sequence[str]) -> str:
@@ -79,6 +87,23 @@ def _partition(campaign: Campaign, few: Sequence[str]) -> str:
     return campaign.compare if campaign.compare in wanted else next(iter(wanted), "failed")
 
 
-def names_of(campaign: Campaign) -> dict[str, tuple[str, str]]:
-    """What each result is called, and its unit."""
-    return {key: (item.label or key.replace("_", " "), item.unit) for key, item in campaign.results.items()}
+def _sizes(campaign: Campaign, rows: Sequence[Row]) -> str:
+    """How many levels each factor has: `2 levels of hz x 3 seeds`."""
+    counts = {factor: len(levels_of(rows, factor)) for factor in campaign.factor_names}
+    whole = math.prod(counts.values()) == len(rows)
+    return (" \u00d7 " if whole else ", ").join(
+        f"{n} {factor if factor == 'seed' else 'level'}{'' if n == 1 else 's'}"
+        f"{'' if factor == 'seed' else f' of {words(factor)}'}"
+        for factor, n in counts.items()
+    )
+
+
+def _clear(
+    campaign: Campaign, pairs: Sequence[PairedSummary]
+) -> dict[str, tuple[list[PairedSummary], list[PairedSummary]]]:
+    """For each result the pairs whose difference leaves out 0, and the others that were compared."""
+    found: dict[str, tuple[list[PairedSummary], list[PairedSummary]]] = {}
+    for pair in pairs:
+        differ, rest = found.setdefault(campaign.names[pair.result][0], ([], []))
+        (differ if pair.differs else rest).append(pair)
+    return found

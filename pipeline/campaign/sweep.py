@@ -28,8 +28,8 @@ from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, l
 from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
-from turtlebag.pipeline.campaign.progress import Progress
-from turtlebag.pipeline.campaign.results import PAGE, write_results
+from turtlebag.pipeline.campaign.progress import PAGE, Progress
+from turtlebag.pipeline.campaign.results import write_results
 from turtlebag.pipeline.campaign.store import UNFINISHED, Store, or_else
 from turtlebag.pipeline.terminal.messages import log, track
 

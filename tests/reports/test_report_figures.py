@@ -9,9 +9,10 @@ from turtlebag.datasets.runlog import RunLogBuilder
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Trajectory, Twist
+from turtlebag.pipeline.campaign.campaign_file import Figure
+from turtlebag.pipeline.campaign.figures import result_over_factor
 from turtlebag.reports.drawing import decisions_of
 from turtlebag.reports.figures import animation, runs
-from turtlebag.reports.figures.campaign import Wish, result_over_factor
 from turtlebag.reports.figures.maps import length_text, scale_length
 from turtlebag.reports.figures.particles import particles, zoom_box
 from turtlebag.reports.figures.series import error_axis
@@ -112,7 +113,7 @@ def log_of(words):
 
 def test_the_cases_of_a_campaign_lie_beside_the_interval_that_would_hide_them():
     rows = [{"hz": hz, "error": 0.01 * hz + 0.001 * k} for hz in (5, 10) for k in range(3)]
-    figure = result_over_factor(rows, Wish("hz", "error", "error", "cm"), 1)
+    figure = result_over_factor(rows, Figure(x="hz", y="error"), "error", "cm", 1)
     figure.draw_without_rendering()
     lines = figure.axes[0].get_lines()
     (mark,) = [line for line in lines if line.get_marker() == "o"]

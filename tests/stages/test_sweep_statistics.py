@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from turtlebag.reports.campaign import compare_pairs, summarise
+from turtlebag.pipeline.campaign.statistics import compare_pairs, summarise
 from turtlebag.reports.metrics import statistics
 from turtlebag.reports.metrics.statistics import median_interval, paired, share_interval
 

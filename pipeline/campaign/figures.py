@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -13,39 +12,41 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import offset_copy
 
-from turtlebag.reports.campaign import interval, is_share, levels_of
+from turtlebag.pipeline.campaign.campaign_file import Campaign
+from turtlebag.pipeline.campaign.campaign_file import Figure as Wish
+from turtlebag.pipeline.campaign.statistics import Row, interval, is_share, levels_of
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.style import SERIES, new_figure
 from turtlebag.reports.metrics.statistics import Interval
 from turtlebag.reports.numbers import UNITS
+from turtlebag.reports.stage_titles import slug
 
-Row = Mapping[str, Any]
 COLUMNS = 3
 WRAP = 32
 """Characters of a label in a line."""
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
-@dataclass(frozen=True)
-class Wish:
-    """A figure that is asked for: the result `y`, called `label` and shown in `unit`, over the factor `x`.
-
-    One line for each level of `lines`; one panel, all to one scale, for each level of `panels`.
-    """
-
-    x: str
-    y: str
-    label: str
-    unit: str
-    lines: str | None = None
-    panels: str | None = None
-    title: str = ""
-    log: bool = False
+def draw_figures(campaign: Campaign, rows: Sequence[Row], album: Album) -> None:
+    """The figures that a campaign asks for."""
+    for number, wish in enumerate(campaign.figures, start=1):
+        label, unit = campaign.names[wish.y]
+        shares = [words(factor) for factor in (wish.lines, wish.panels) if factor]
+        each = f", for each {' and '.join(shares)}" if shares else ""
+        caption = f"{label} over {words(wish.x)}{each}."
+        name = f"{number:02d}-{slug(wish.y)}-over-{slug(wish.x)}"
+        caption, drawn = (
+            caption[0].upper() + caption[1:],
+            (rows, wish, label, wish.unit or unit, campaign.seed),
+        )
+        album.add(name, wish.title or label, caption[0].upper() + caption[1:], result_over_factor, *drawn)
 
 
-def result_over_factor(rows: Sequence[Row], wish: Wish, seed: int) -> Figure:
-    """Median (or share) with its interval at each level; single cases as faint dots."""
+def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str, seed: int) -> Figure:
+    """Median (or share) with its interval at each level; single cases as faint dots. The result is called
+    `label`, its unit is `stored`; all panels have one scale."""
     share = is_share(rows, wish.y)
-    unit, panels = UNITS["percent" if share else wish.unit], wish.panels
+    unit, panels = UNITS["percent" if share else stored], wish.panels
     groups = levels_of(rows, panels) if panels is not None else [None]
     columns = min(len(groups), COLUMNS)
     lanes = -(-len(groups) // columns)
@@ -65,7 +66,7 @@ def result_over_factor(rows: Sequence[Row], wish: Wish, seed: int) -> Figure:
         grid[0].yaxis.set_minor_formatter(NullFormatter())
     else:
         grid[0].set_ylim(bottom=0.0, top=105.0 if share else None)
-    text = textwrap.fill(f"{wish.label} [{unit.symbol}]" if unit.symbol else wish.label, WRAP)
+    text = textwrap.fill(f"{label} [{unit.symbol}]" if unit.symbol else label, WRAP)
     if panels is None:
         grid[0].set_xlabel(words(wish.x))
         grid[0].set_ylabel(text)
