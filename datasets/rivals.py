@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -37,10 +38,10 @@ def kind_of(path: Path) -> str:
     return "map" if path.suffix in (".yaml", ".yml") else "trajectory"
 
 
-@dataclass(frozen=True)
+@pydantic_dataclass(frozen=True)
 class RivalFiles:
-    """Files of one rival. `T_base_sensor` is where on the robot sits what its trajectory tracks; `shift_s`
-    is added to its stamps; `times` are the stamps of a KITTI file.
+    """Files of one rival. `base` (x, y [m], yaw [rad]) is where on the robot sits what its trajectory tracks;
+    `shift_s` is added to its stamps; `times` are the stamps of a KITTI file.
 
     InputError for a name that is none or is taken, and for what is no such file.
     """
@@ -49,7 +50,7 @@ class RivalFiles:
     trajectory: Path | None = None
     map: Path | None = None
     times: Path | None = None
-    T_base_sensor: SE2 = field(default_factory=SE2.identity)
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     shift_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -75,7 +76,7 @@ class RivalFiles:
     @property
     def moved(self) -> bool:
         """Whether it tracks anything but the base."""
-        return bool(np.any(self.T_base_sensor.xyt))
+        return any(self.base)
 
     def inputs(self) -> dict[str, Path]:
         """Every file that is read, by what it is."""
@@ -116,8 +117,8 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
             "Its z axis points forward, as a camera's does: its poses were rotated to a robot's axes."
         )
     if files.moved:
-        track = replace(track, T=track.T @ inverse(lifted(files.T_base_sensor)))
-        x, y, yaw = (float(value) for value in files.T_base_sensor.xyt)
+        track = replace(track, T=track.T @ inverse(lifted(SE2.from_xyt(*files.base))))
+        x, y, yaw = files.base
         notes.append(f"It tracks a point at {x:g}, {y:g} m, {yaw:g} rad on the robot; moved to the base.")
     return System(files.name, track, grid, tuple(notes))
 

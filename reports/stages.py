@@ -19,6 +19,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import sha256_file, sha256_tree
+from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
@@ -40,21 +41,6 @@ class Input(BaseModel):
     sha256: dict[str, str]
 
 
-MARK = "rival:"
-"""Begins the names of those inputs of a report that are files of other systems."""
-
-
-class RivalEntry(BaseModel):
-    """A rival of a report: its files as seen from the report, and how its trajectory was read."""
-
-    name: str
-    trajectory: str | None = None
-    map: str | None = None
-    times: str | None = None
-    base: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    shift_s: float = 0.0
-
-
 class Manifest(BaseModel):
     """What reports read of a manifest; whatever else it holds is not looked at."""
 
@@ -64,7 +50,7 @@ class Manifest(BaseModel):
     inputs: dict[str, Input] = {}
     outputs: dict[str, str] = {}
     folders: dict[str, str] = {}
-    rivals: list[RivalEntry] = []
+    rivals: list[RivalFiles] = []
     packages: dict[str, str] = {}
     python: str = "?"
     world: str | None = None

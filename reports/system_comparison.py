@@ -13,7 +13,8 @@ from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.metric_spec import MORE_IS_BETTER, MetricSpec
 from turtlebag.reports.metric_specs_systems import EVO, NOT_JUDGED, SYSTEMS
-from turtlebag.reports.metrics.systems import Known, Measured, Numbers
+from turtlebag.reports.metrics.references import References
+from turtlebag.reports.metrics.systems import Measured, Numbers
 from turtlebag.reports.numbers import lookup, shown
 
 
@@ -129,12 +130,12 @@ class SystemComparison:
 
 
 def compare_systems(
-    measured: Sequence[Measured], known: Known, album: Album, prefix: str
+    measured: Sequence[Measured], known: References, album: Album, prefix: str
 ) -> SystemComparison:
     """The numbers, notes and pictures of measured systems, ours first."""
     metrics: SystemsMetrics = {
         "reference": OURS if known.truth is None else "truth",
-        "map_reference": OURS if known.true_map is None else "truth",
+        "map_reference": OURS if known.true_grid is None else "truth",
         "systems": {one.system.name: one.numbers for one in measured},
     }
     notes = [(one.system.name, note) for one in measured for note in one.notes]
@@ -143,10 +144,10 @@ def compare_systems(
     return SystemComparison(metrics, notes, album.pictures[before:])
 
 
-def _draw(measured: Sequence[Measured], known: Known, album: Album) -> None:
+def _draw(measured: Sequence[Measured], known: References, album: Album) -> None:
     paths = {one.system.name: one.path for one in measured if one.path is not None}
     reference = "the truth" if known.truth is not None else OURS
-    ground = known.true_map if known.true_map is not None else measured[0].grid
+    ground = known.true_grid if known.true_grid is not None else measured[0].grid
     if len(paths) > 1:
         caption = f"All paths, each moved as a whole to lie on {reference} best."
         album.add("paths", "Paths", caption, figures.paths, ground, known.truth, paths)

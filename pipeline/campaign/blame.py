@@ -15,10 +15,10 @@ from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, 
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import track
 from turtlebag.reports.metrics.navigation import RunMetrics
+from turtlebag.reports.metrics.references import References
 from turtlebag.reports.stages import Stage, load_stage
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import add_output, epilog, option, output, repeated
-from turtlebag.pipeline.terminal.messages import log, log_notes, number_of
+from turtlebag.pipeline.terminal.messages import log, log_notes, number_of, print_table
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
@@ -94,7 +94,7 @@ def _print_log(log_read: Recording) -> None:
 
 
 def _print_info(info: BagInfo) -> None:
-    print(f"{info.path}  ({info.kind}, {len(info.files)} file{'s' * (len(info.files) != 1)})")
+    print(f"{info.path}  ({info.kind}, {number_of(len(info.files), 'file')})")
     print(
         f"{info.count} messages, {info.duration():.2f} s, "
         f"from {info.start_ns * 1e-9:.3f} to {info.end_ns * 1e-9:.3f} s"
@@ -106,11 +106,7 @@ def _print_info(info: BagInfo) -> None:
         rate = f"{topic.rate_hz():.2f}" if topic.count > 1 else "-"
         gap = f"{topic.longest_gap_ns * 1e-9:.3f}" if topic.count > 1 else "-"
         rows.append((topic.name, topic.msgtype, str(topic.count), rate, gap))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        words = [cell.ljust(width) for cell, width in zip(row[:2], widths, strict=False)]
-        numbers = [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
-        print("  ".join([*words, *numbers]))
+    print_table(rows, left=(0, 1))
     log_notes(info.notes)
 
 

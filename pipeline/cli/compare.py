@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import add_output, option, output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
-from turtlebag.pipeline.terminal.messages import number_of
+from turtlebag.pipeline.terminal.messages import number_of, print_table
+
+if TYPE_CHECKING:
+    from turtlebag.reports.compare import Comparison
+    from turtlebag.reports.system_comparison import SystemComparison
 
 EXAMPLE = "turtlebag compare data/maps/a cartographer=poses.tum cartographer=map.yaml --out data/comparison"
 
@@ -32,51 +37,47 @@ def inputs(args: argparse.Namespace) -> list[Path]:
 
 def run(args: argparse.Namespace) -> int:
     """Print the differences; the page's path last when one was asked for."""
-    for word in args.b:
-        if "=" not in word and not Path(word).exists():
-            raise InputError(f"{word}: no such output, trajectory or map")
-    if any(Path(word).is_dir() for word in args.b):
-        _compare_outputs(args)
+    from turtlebag.reports.system_comparison import SystemComparison
+
+    found = make(args)
+    if isinstance(found, SystemComparison):
+        _print_systems(found)
     else:
-        _compare_rivals(args)
+        _print_outputs(found)
     if args.out is not None:
         print(args.out / "index.html")
     return 0
 
 
-def _compare_outputs(args: argparse.Namespace) -> None:
-    from turtlebag.pipeline.stages.compare import compare_outputs
+def make(args: argparse.Namespace) -> Comparison | SystemComparison:
+    """What is found, of two outputs or of ours and other systems."""
+    from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
 
+    for word in args.b:
+        if "=" not in word and not Path(word).exists():
+            raise InputError(f"{word}: no such output, trajectory or map")
+    out = None if args.out is None else output(args)
+    if not any(Path(word).is_dir() for word in args.b):
+        return compare_rivals(args.a, rivals(args.b, args), out)
     if len(args.b) > 1:
         raise InputError("compare takes two outputs, or one output and files of other systems")
     if args.rival_base or args.rival_times or args.rival_shift:
         raise InputError(f"{args.b[0]}: is an output of ours; --rival options are for others' files")
-    b = Path(args.b[0])
-    found = compare_outputs(args.a, b, None if args.out is None else output(args))
+    return compare_outputs(args.a, Path(args.b[0]), out)
+
+
+def _print_outputs(found: Comparison) -> None:
     for key, one, other in found.settings:
         print(f"{key}: {one} -> {other}")
-    width = max((len(row.label) for row in found.rows), default=0)
-    if found.rows:
-        print(f"{'':{width}}  {'A':>12}  {'B':>12}  {'B - A':>12}")
-    for row in found.rows:
-        print(f"{row.label:{width}}  {row.a:>12}  {row.b:>12}  {row.difference:>12}  {row.relative}".rstrip())
+    rows = [(row.label, row.a, row.b, row.difference, row.relative) for row in found.rows]
+    print_table([("", "A", "B", "B - A", ""), *rows] if rows else [])
     print(f"{number_of(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
 
 
-def _compare_rivals(args: argparse.Namespace) -> None:
-    from turtlebag.pipeline.stages.compare import compare_rivals
-
-    out = None if args.out is None else output(args)
-    found = compare_rivals(args.a, rivals(args.b, args), out)
+def _print_systems(found: SystemComparison) -> None:
     for name, note in found.notes:
         print(f"{name}: {note}")
-    sections = found.sections
-    labels = [row.spec.label for _, _, rows in sections for row in rows]
-    width, columns = max(map(len, labels), default=0), [max(len(name), 10) for name in found.names]
-    heads = [f"{name:>{wide}}" for name, wide in zip(found.names, columns, strict=True)]
-    print("  ".join([" " * width, *heads, "evo"]))
-    for _, _, rows in sections:
-        for row in rows:
-            texts = [f"{cell.text:>{wide}}" for cell, wide in zip(row.cells, columns, strict=True)]
-            print("  ".join([f"{row.spec.label:{width}}", *texts, row.evo]).rstrip())
+    rows = [row for _, _, rows in found.sections for row in rows]
+    texts = [(row.spec.label, *(cell.text for cell in row.cells), row.evo) for row in rows]
+    print_table([("", *found.names, "evo"), *texts], left=(0, -1))
     print(found.sentence)

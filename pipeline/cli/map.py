@@ -45,8 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Build the map; 0 done, 1 when the truth says that it is bad."""
     from turtlebag.pipeline.stages.map import build_map
-    from turtlebag.pipeline.stages.map_references import References
     from turtlebag.pipeline.stages.sources import MapInputs, Source
+    from turtlebag.reports.metrics.references import References
 
     source = Source(args.input, *laser(args.laser), args.topic)
     return build_map(

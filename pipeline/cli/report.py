@@ -31,20 +31,18 @@ def inputs(args: argparse.Namespace) -> list[Path]:
 
 def run(args: argparse.Namespace) -> int:
     """Make the page and print where it is."""
+    print(make(args))
+    return 0
+
+
+def make(args: argparse.Namespace) -> Path:
+    """The page's path."""
     from turtlebag.pipeline.stages.report import make_index, make_report
 
     if args.index:
         for name in ("paper", "no_animation", "rival"):
             if getattr(args, name):
                 raise InputError(f"--{name.replace('_', '-')}: has no effect with --index; remove it")
-        print(make_index(args.folders, output(args)))
-        return 0
-    page = make_report(
-        args.folders,
-        output(args),
-        rivals=rivals(args.rival, args),
-        animate=not args.no_animation,
-        paper=args.paper,
-    )
-    print(page)
-    return 0
+        return make_index(args.folders, output(args))
+    others, animate = rivals(args.rival, args), not args.no_animation
+    return make_report(args.folders, output(args), rivals=others, animate=animate, paper=args.paper)

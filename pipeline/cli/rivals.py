@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.arguments import pose, repeated
 
 if TYPE_CHECKING:
@@ -50,7 +49,7 @@ def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
             files.get("trajectory"),
             files.get("map"),
             Path(times[name]) if name in times else None,
-            pose(bases[name], "--rival-base") if name in bases else SE2.identity(),
+            tuple(pose(bases[name], "--rival-base").xyt.tolist()) if name in bases else (0.0, 0.0, 0.0),
             _seconds(shifts[name]) if name in shifts else 0.0,
         )
         for name, files in found.items()

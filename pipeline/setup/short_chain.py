@@ -13,11 +13,11 @@ from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log
+from turtlebag.reports.metrics.references import References
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 

@@ -27,12 +27,12 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.pose_check import require_on_map
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
-from turtlebag.pipeline.stages.map_references import truth_folder
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import Source
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.reports.metrics.navigation import localisation_errors
+from turtlebag.reports.metrics.references import truth_folder
 
 
 class LocaliseConfig(Settings, allow_inf_nan=False):

@@ -25,11 +25,11 @@ from turtlebag.pipeline.slam.pose_graph import write_g2o
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
 from turtlebag.pipeline.stages.map3d import map_clouds
-from turtlebag.pipeline.stages.map_references import NO_REFERENCES, References
 from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
+from turtlebag.reports.metrics.references import NO_REFERENCES, References
 
 TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
 """Names of our own files in the folder of a map."""

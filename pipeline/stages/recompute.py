@@ -17,12 +17,12 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Trajectory, yaw_difference
 from turtlebag.pipeline.navigation.metrics import floor_of
-from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.map_summary import loop_counts
 from turtlebag.planners.tasks.waypoints import load_waypoints, tutorial_patrol
 from turtlebag.reports.g2o import read_g2o, read_loops
 from turtlebag.reports.metrics.navigation import Floor, Goal, goal_counts, localisation_errors, run_metrics
 from turtlebag.reports.metrics.recording import recording_metrics
+from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import leaves
 from turtlebag.reports.provenance import rename

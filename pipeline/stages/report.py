@@ -17,7 +17,7 @@ from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.index import index_lines, shown_outputs
 from turtlebag.reports.layout import viewer_layouts
-from turtlebag.reports.metrics.systems import Known
+from turtlebag.reports.metrics.references import NO_REFERENCES
 from turtlebag.reports.page import render, render_index
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import compare_systems, write_pairs
@@ -42,7 +42,7 @@ def make_report(
     on more than one world or log.
     """
     groups = group_stages([load_stage(folder) for folder in folders])
-    known, systems = measured_in(groups, rivals) if rivals else (Known(), [])
+    known, systems = measured_in(groups, rivals) if rivals else (NO_REFERENCES, [])
     files = inputs_of(rivals)
     with out.staged([*folders, *files.values()]) as partial:
         with drawing() as told:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.rivals import OURS, PATHS, RivalFiles, System, load_rival
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.rivals import OURS, RivalFiles, System, load_rival
 from turtlebag.datasets.trajectories_3d import Trajectory3D
-from turtlebag.pipeline.stages.map_references import References
-from turtlebag.reports.metrics.systems import Known, Measured, measure
-from turtlebag.reports.stages import MARK, Group, Manifest, RivalEntry, Stage
+from turtlebag.reports.metrics.references import References
+from turtlebag.reports.metrics.systems import Measured, measure
+from turtlebag.reports.stages import Group, Manifest, Stage
 
 KINDS = ("map", "localise", "navigate")
 """What has a trajectory of its own, in the order in which a report takes one for ours."""
+MARK = "rival:"
+"""Begins the names of those inputs of a report that are files of other systems."""
 
 
 def ours_of(stages: Sequence[Stage]) -> Stage:
@@ -32,7 +34,7 @@ def ours_of(stages: Sequence[Stage]) -> Stage:
 
 def measured(
     stage: Stage, files: Sequence[RivalFiles], group: Group | None = None
-) -> tuple[Known, list[Measured]]:
+) -> tuple[References, list[Measured]]:
     """Ours and its rivals, measured; InputError for what cannot be read or compared."""
     track = None if stage.trajectory is None else Trajectory3D.of(stage.trajectory)
     scans = np.zeros(0, dtype=np.int64) if track is None else track.stamps_ns
@@ -46,7 +48,7 @@ def measured(
     return known, measure(ours, rivals, known)
 
 
-def measured_in(groups: Sequence[Group], files: Sequence[RivalFiles]) -> tuple[Known, list[Measured]]:
+def measured_in(groups: Sequence[Group], files: Sequence[RivalFiles]) -> tuple[References, list[Measured]]:
     """The rivals of a report, measured; InputError when it is about more than one world or log."""
     if len(groups) > 1:
         names = ", ".join(group.name for group in groups)
@@ -54,7 +56,7 @@ def measured_in(groups: Sequence[Group], files: Sequence[RivalFiles]) -> tuple[K
     return measured(ours_of(groups[0].stages), files, groups[0])
 
 
-def known_of(stage: Stage, group: Group | None = None) -> Known:
+def known_of(stage: Stage, group: Group | None = None) -> References:
     """The truth and the relations of a stage's recording, where they are still to be found."""
     record = group.record_of(stage) if group is not None else None
     places = [record.folder / "truth"] if record is not None else []
@@ -66,8 +68,7 @@ def known_of(stage: Stage, group: Group | None = None) -> Known:
             places += [path.parent / "truth"] if path.name == "bag" else []
     truth = next((place for place in places if (place / "trajectory.tum").is_file()), None)
     relations = stage.input_paths().get("relations")
-    found = References.load(truth, relations if relations is not None and relations.is_file() else None)
-    return Known(found.truth, found.true_grid, found.relations)
+    return References.load(truth, relations if relations is not None and relations.is_file() else None)
 
 
 def inputs_of(files: Sequence[RivalFiles]) -> dict[str, Path]:
@@ -78,12 +79,7 @@ def inputs_of(files: Sequence[RivalFiles]) -> dict[str, Path]:
 def remembered(files: Sequence[RivalFiles], out: Path) -> list[dict[str, Any]]:
     """What a manifest says of the rivals, their files as seen from `out`."""
     return [
-        {
-            "name": one.name,
-            **{what: path and os.path.relpath(path, out) for what, path in one.paths.items()},
-            "base": one.T_base_sensor.xyt.tolist(),
-            "shift_s": one.shift_s,
-        }
+        asdict(one) | {what: path and os.path.relpath(path, out) for what, path in one.paths.items()}
         for one in files
     ]
 
@@ -91,18 +87,12 @@ def remembered(files: Sequence[RivalFiles], out: Path) -> list[dict[str, Any]]:
 def recalled(manifest: Manifest, out: Path) -> list[RivalFiles]:
     """The rivals of a report in `out`, wherever report and files were moved together."""
 
-    def found(one: RivalEntry, what: str) -> Path | None:
-        text = getattr(one, what)
-        if text is None or (out / text).is_file():
-            return None if text is None else out / text
+    def found(one: RivalFiles, what: str, path: Path | None) -> Path | None:
+        if path is None or (out / path).is_file():
+            return path and out / path
         return manifest.inputs[f"{MARK}{one.name}/{what}"].path
 
     return [
-        RivalFiles(
-            one.name,
-            **{what: found(one, what) for what in PATHS},
-            T_base_sensor=SE2.from_xyt(*one.base),
-            shift_s=one.shift_s,
-        )
+        replace(one, **{what: found(one, what, path) for what, path in one.paths.items()})
         for one in manifest.rivals
     ]

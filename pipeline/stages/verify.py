@@ -23,7 +23,7 @@ from turtlebag.pipeline.stages.recompute import (
     robot_of,
     truth_disagreement,
 )
-from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, recalled
+from turtlebag.pipeline.stages.rivals import MARK, inputs_of, measured_in, recalled
 from turtlebag.pipeline.stages.run_again import Remade, Run, places_of, remade
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
@@ -32,7 +32,6 @@ from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.page import render
 from turtlebag.reports.stages import (
-    MARK,
     Group,
     Manifest,
     Stage,

@@ -6,7 +6,7 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
 
@@ -180,6 +180,16 @@ def length(metres: float) -> str:
 def number_of(count: int, what: str) -> str:
     """`1 error`, `2 errors`."""
     return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def print_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
+    """Print rows in columns: those of the numbers `left` (negative ones from the end) begin below each other,
+    the others end so."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    begin = {number % len(widths) for number in left} if widths else set()
+    for row in rows:
+        cells = [f"{text:{'<' if k in begin else '>'}{widths[k]}}" for k, text in enumerate(row)]
+        print("  ".join(cells).rstrip())
 
 
 class Words:

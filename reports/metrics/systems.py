@@ -20,6 +20,7 @@ from turtlebag.datasets.types import Trajectory, seconds
 from turtlebag.reports.metrics import evo
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics, visible_surface
 from turtlebag.reports.metrics.placing import Placed, place, walls
+from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.relations import MATCH_NS, RelationErrors, nearest, relations_metrics
 from turtlebag.reports.metrics.trajectory import Drift, fit_rigid, rpe
 
@@ -27,15 +28,6 @@ WHOLE = 0.95
 """A system that covers less of the recording is compared over its own part too."""
 LAID = 0.5
 """Maps of which less than this share of the walls can be laid on each other are said to differ."""
-
-
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What is known of a recording: its truth (a path, a map), hand-made relations; any may be missing."""
-
-    truth: Trajectory | None = None
-    true_map: OccupancyGrid | None = None
-    relations: Relations | None = None
 
 
 class PathErrors(TypedDict, total=False):
@@ -76,7 +68,7 @@ class Measured:
     grid: OccupancyGrid | None = None
 
 
-def measure(ours: System, rivals: Sequence[System], known: Known) -> list[Measured]:
+def measure(ours: System, rivals: Sequence[System], known: References) -> list[Measured]:
     """Ours first, then its rivals, each against the truth, or where there is none against ours.
 
     InputError for a trajectory that cannot be paired with the reference.
@@ -188,15 +180,15 @@ def with_poses_at(track: Trajectory3D, relations: Relations) -> Trajectory:
     return both.planar()
 
 
-def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -> Measured:
+def _measure_map(measured: Measured, before: Sequence[Measured], known: References) -> Measured:
     """Lay the map on the true surfaces, or on our walls, and measure it there."""
     grid, ours = measured.system.grid, before[0] if before else measured
-    reference = known.true_map if known.true_map is not None else ours.system.grid
+    reference = known.true_grid if known.true_grid is not None else ours.system.grid
     if grid is None or reference is None:
         return measured
-    if known.true_map is None and measured is ours:
+    if known.true_grid is None and measured is ours:
         return replace(measured, grid=grid)
-    surface = _surface(reference, known.true_map, ours.system.grid)
+    surface = _surface(reference, known.true_grid, ours.system.grid)
     placed = place(grid, surface, reference.resolution, _guesses(measured, ours, known))
     # Between grids of one lattice the closest points are no match to the cell: no move may be the better one.
     scored = [
@@ -209,13 +201,13 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -
     return replace(measured, numbers=numbers, notes=notes, grid=placed.moved(grid))
 
 
-def _surface(reference: OccupancyGrid, true_map: OccupancyGrid | None, ours: OccupancyGrid | None) -> Array:
-    if true_map is None or ours is None:
+def _surface(reference: OccupancyGrid, true_grid: OccupancyGrid | None, ours: OccupancyGrid | None) -> Array:
+    if true_grid is None or ours is None:
         return walls(reference)
     return reference.center_of(np.argwhere(visible_surface(reference, ours)))
 
 
-def _guesses(measured: Measured, ours: Measured, known: Known) -> list[SE2]:
+def _guesses(measured: Measured, ours: Measured, known: References) -> list[SE2]:
     """Where a map may lie: as its own trajectory, in the same frame, with its origin where we began."""
     guesses = []
     if measured.paired is not None and measured is not ours:

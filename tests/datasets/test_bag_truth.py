@@ -8,9 +8,9 @@ from turtlebag.datasets.bags.convert import to_mcap
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.map_references import NO_REFERENCES, References
 from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.pipeline.stages.sources import MapInputs, Source
+from turtlebag.reports.metrics.references import NO_REFERENCES, References
 
 pytestmark = pytest.mark.slow
 

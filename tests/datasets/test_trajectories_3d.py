@@ -99,7 +99,7 @@ def test_a_camera_s_axes_a_place_on_the_robot_and_a_clock_are_undone(tmp_path):
     T_camera_robot[:3, :3] = np.stack([-left, -up, forward])  # rows: x right, y down, z forward
     T_camera = T_camera_robot @ T_sensor @ T_camera_robot.T
     save_tum_3d(stamps - 7 * 10**9, T_camera, tmp_path / "camera.tum")
-    rival = load_rival(RivalFiles("c", tmp_path / "camera.tum", T_base_sensor=base, shift_s=7.0), stamps)
+    rival = load_rival(RivalFiles("c", tmp_path / "camera.tum", base=tuple(base.xyt), shift_s=7.0), stamps)
     np.testing.assert_array_equal(rival.track.stamps_ns, stamps)
     np.testing.assert_allclose(rival.track.T, inverse(lifted(base)) @ T_base, atol=1e-8)
     assert [word in " ".join(rival.notes) for word in ("7 s", "as a camera's does", "0.2, -0.1 m")] == [

@@ -33,7 +33,7 @@ from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.placing import place, walls
 from turtlebag.reports.metrics.relations import relations_metrics
-from turtlebag.reports.metrics.systems import Known, measure
+from turtlebag.reports.metrics.systems import References, measure
 from turtlebag.reports.system_comparison import compare_systems
 
 ELSEWHERE = SE2.from_xyt(5.0, 3.0, 2.0)
@@ -110,7 +110,9 @@ def test_without_a_truth_the_others_are_measured_against_ours():
     poses = path.planar().poses
     pairs = Relations(path.stamps_ns[a] + 1000, path.stamps_ns[b], poses[a].inverse() @ poses[b])
     thin = moved[np.arange(150) % 3 != 0]
-    ours, rival = measure(System("TurtleBag", path, None), [System("r", thin, None)], Known(relations=pairs))
+    ours, rival = measure(
+        System("TurtleBag", path, None), [System("r", thin, None)], References(relations=pairs)
+    )
     assert "ate_m" not in ours.numbers
     assert rival.numbers["ate_m"]["rmse"] == pytest.approx(2.0, abs=1e-6)
     assert rival.numbers["ate_aligned_m"]["rmse"] < 1e-6
@@ -119,10 +121,10 @@ def test_without_a_truth_the_others_are_measured_against_ours():
     assert rival.numbers["relations"]["n"] == 1
     assert rival.numbers["relations"]["trans_m"]["mean"] < 0.01
     two = [ours, rival, replace(rival, system=System("s", thin, None))]
-    found = compare_systems(two, Known(relations=pairs), Album(None), "x")
+    found = compare_systems(two, References(relations=pairs), Album(None), "x")
     assert found.sentence.startswith("Mean relations error: TurtleBag 0.0000")
-    bare = measure(System("TurtleBag", path, None), [one.system for one in two[1:]], Known())
-    nothing = compare_systems(bare, Known(), Album(None), "x")
+    bare = measure(System("TurtleBag", path, None), [one.system for one in two[1:]], References())
+    nothing = compare_systems(bare, References(), Album(None), "x")
     assert not any(cell.best for _, _, rows in nothing.sections for row in rows for cell in row.cells)
     assert "the truth is not known" in nothing.sentence
 
@@ -187,7 +189,7 @@ def test_our_map_scores_no_worse_beside_others_than_by_itself(tree):
     moved = wall[rng.random(len(wall)) < 0.2] + [1, 0]
     cells[moved[:, 0], moved[:, 1]] = OCCUPIED
     grid = replace(grid, cells=cells)
-    (ours,) = measure(System("TurtleBag", None, grid), [], Known(None, true_map))
+    (ours,) = measure(System("TurtleBag", None, grid), [], References(None, true_map))
     assert ours.numbers["map"] == map_metrics(grid, true_map)
 
 

@@ -16,7 +16,7 @@ from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.cli import main as cli
 from turtlebag.pipeline.stages.localise import checked_odometry, load_localise_config, sweep_ends
-from turtlebag.pipeline.stages.map_references import truth_folder
+from turtlebag.reports.metrics.references import truth_folder
 
 # What a CARMEN log can say: 181 beams over half a turn, the laser on the robot's centre.
 LASER = LidarSpec(181, -np.pi / 2.0, np.pi / 180.0, 0.0, 3.5)

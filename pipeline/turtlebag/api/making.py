@@ -12,6 +12,7 @@ import tempfile
 import textwrap
 import threading
 import weakref
+from argparse import Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -69,13 +70,18 @@ class Step:
     def run(self, *inputs: PathLike, **options: Any) -> None:
         """Run the command, as its module does; KeyboardInterrupt when one that keeps what it has was
         interrupted."""
+        args = self.arguments(*inputs, **options)
+        if args.run(args) >= 128:
+            raise KeyboardInterrupt
+
+    def arguments(self, *inputs: PathLike, **options: Any) -> Namespace:
+        """What the command line would make of them."""
         from turtlebag.pipeline.cli.main import build_parser
 
         words = command_line(self.verb, *inputs, **options, out=self.out)
         args = build_parser(self.verb).parse_args(words[1:])
         args.force, args.command_line, args.verbosity = self.force, words, -1
-        if args.run(args) >= 128:
-            raise KeyboardInterrupt
+        return args
 
 
 @contextmanager

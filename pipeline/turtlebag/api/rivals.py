@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,6 @@ import numpy as np
 from turtlebag.api.making import PathLike, Pose, in_a_line, path_if, path_of, pose_of, pose_text
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import told_kind
-from turtlebag.datasets.rivals import RivalFiles, kind_of
-from turtlebag.datasets.se2 import SE2
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,36 +34,32 @@ Rivals = Mapping[str, Rival | PathLike]
 """Rivals by their names; one of which there is nothing but a file may be its path."""
 
 
-def rival_files(rivals: Rivals | None) -> list[RivalFiles]:
-    """Their files; InputError for what is none."""
+def rival_options(rivals: Rivals | None) -> tuple[list[str], dict[str, list[str]], dict[str, Path]]:
+    """NAME=FILE of every file, the options of the command line that say the rest, and the files by what they
+    are; InputError for what is none."""
     if not isinstance(rivals, Mapping | None):
         said = 'expected a mapping such as {"other": "poses.tum"}'
         raise InputError(f"rivals: {said}, not {told_kind(rivals)}")
-    return [_files(str(name), rival) for name, rival in (rivals or {}).items()]
-
-
-def rival_options(files: list[RivalFiles]) -> tuple[list[str], dict[str, list[str]]]:
-    """NAME=FILE of every file, and the options of the command line that say the rest."""
-    words = [f"{one.name}={path}" for one in files for path in (one.trajectory, one.map) if path is not None]
-    return words, {
-        "rival_base": [f"{one.name}={pose_text(one.T_base_sensor)}" for one in files if one.moved],
-        "rival_times": [f"{one.name}={one.times}" for one in files if one.times is not None],
-        "rival_shift": [f"{one.name}={one.shift_s!r}" for one in files if one.shift_s],
-    }
-
-
-def _files(name: str, rival: Any) -> RivalFiles:
-    if not isinstance(rival, Rival):
-        path = path_of(rival, f"rivals {name}")
-        return RivalFiles(name, **{kind_of(path): path})  # type: ignore[arg-type]
-    return RivalFiles(
-        name,
-        path_if(rival.trajectory, f"rivals {name} trajectory"),
-        path_if(rival.map, f"rivals {name} map"),
-        path_if(rival.times, f"rivals {name} times"),
-        SE2.identity() if rival.base is None else pose_of(rival.base, f"rivals {name} base"),
-        _seconds(rival.shift, f"rivals {name} shift"),
-    )
+    words: list[str] = []
+    known: dict[str, list[str]] = {"rival_base": [], "rival_times": [], "rival_shift": []}
+    read: dict[str, Path] = {}
+    for name, given in (rivals or {}).items():
+        what = f"rivals {name}"
+        one = given if isinstance(given, Rival) else Rival(path_of(given, what))
+        files = {
+            kind: path_if(getattr(one, kind), f"{what} {kind}") for kind in ("trajectory", "map", "times")
+        }
+        found = {kind: path for kind, path in files.items() if path is not None}
+        if not found.keys() & {"trajectory", "map"}:
+            raise InputError(f"{name} has no trajectory")
+        read |= {f"{what} {kind}": path for kind, path in found.items()}
+        known["rival_times"] += [f"{name}={found.pop('times')}"] if "times" in found else []
+        words += [f"{name}={path}" for path in found.values()]
+        if one.base is not None:
+            known["rival_base"].append(f"{name}={pose_text(pose_of(one.base, f'{what} base'))}")
+        if shift := _seconds(one.shift, f"{what} shift"):
+            known["rival_shift"].append(f"{name}={shift!r}")
+    return words, known, read
 
 
 def _seconds(value: Any, what: str) -> float:

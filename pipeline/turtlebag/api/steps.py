@@ -15,7 +15,6 @@ from turtlebag.api.making import (
     PathLike,
     Pose,
     TemporaryFolder,
-    command_line,
     laser_text,
     list_of,
     part_name,
@@ -29,10 +28,10 @@ from turtlebag.api.making import (
 )
 from turtlebag.api.outputs import Bag, Map, as_map
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
-from turtlebag.api.rivals import Rivals, rival_files, rival_options
+from turtlebag.api.rivals import Rivals, rival_options
 from turtlebag.api.tasks import Avoid, Explore, Patrol, Task, keepout_option, task_options
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Output
+from turtlebag.reports.system_comparison import SystemComparison
 
 Settings = Mapping[str, Any]
 
@@ -190,23 +189,14 @@ def report(
     rivals that cannot be compared with it. `turtlebag verify` needs the outputs themselves: give those an
     `out` to keep them.
     """
-    from turtlebag.pipeline.stages.report import make_report
-    from turtlebag.pipeline.stages.rivals import inputs_of
+    from turtlebag.pipeline.cli.report import make
 
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
     shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
-    others = rival_files(rivals)
-    words, known = rival_options(others)
-    with step("report", out, force=force, inputs={**shown, **inputs_of(others)}) as now:
-        options = {"rival": words, **known, "no_animation": not animate, "paper": paper, "out": now.out}
-        make_report(
-            [path_of(one, what) for what, one in shown.items()],
-            Output(now.out, force, command_line("report", *outputs, **options)),
-            rivals=others,
-            animate=animate,
-            paper=paper,
-        )
+    words, known, files = rival_options(rivals)
+    with step("report", out, force=force, inputs={**shown, **files}) as now:
+        make(now.arguments(*outputs, rival=words, **known, no_animation=not animate, paper=paper))
         return Report.of(now)
 
 
@@ -223,23 +213,16 @@ def compare(
     `rivals` are files or `Rival`s by the systems' names, in place of `other`. InputError for outputs of two
     kinds, and for rivals that cannot be read or compared.
     """
-    from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
-    from turtlebag.pipeline.stages.rivals import inputs_of
+    from turtlebag.pipeline.cli.compare import make
 
-    ours, files = path_of(output, "output"), rival_files(rivals)
+    words, known, files = rival_options(rivals)
     if (other is None) == (not files):
         raise InputError("compare: give another output, or rivals by their names")
-    words, options = rival_options(files)
-    given = {"output": output, "other": other}
-    with step("compare", out, force=force, inputs={**given, **inputs_of(files)}) as now:
-        seconds = words if other is None else [other]
-        command = command_line("compare", output, *seconds, **options, out=now.out)
-        place = Output(now.out, force, command)
-        if other is None:
-            found = compare_rivals(ours, files, place)
+    given = {"output": path_of(output, "output"), "other": other, **files}
+    with step("compare", out, force=force, inputs=given) as now:
+        found = make(now.arguments(output, *(words if other is None else [other]), **known))
+        if isinstance(found, SystemComparison):
             now.notes += [f"{name}: {note}" for name, note in found.notes]
-        else:
-            compare_outputs(ours, path_of(other, "other"), place)
         return Comparison.of(now)
 
 

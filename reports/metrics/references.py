@@ -1,4 +1,4 @@
-"""What a map is measured against: a recording's truth, a benchmark's relations."""
+"""What a map or a path is measured against: a recording's truth, a benchmark's relations."""
 
 from __future__ import annotations
 
