@@ -41,9 +41,9 @@ def run(args: argparse.Namespace) -> int:
         clock,
         keyboard_driver,
         keys_of,
-        redrawn,
         show,
     )
+    from turtlebag.pipeline.terminal.messages import redrawn
 
     if not args.speed > 0.0:
         raise InputError(f"--speed {args.speed:g}: must be more than 0")
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     state = KeyState(scene.robot.limits, args.style)
     table = TABLES[args.style]
     show(table + "\n")
-    with keys_of(sys.stdin.fileno()) as read_keys, redrawn(args.view) as redraw:
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
         return record_drive(
             scene,
             keyboard_driver(state, read_keys, clock(args.speed)),

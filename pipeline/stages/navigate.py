@@ -20,7 +20,7 @@ from turtlebag.pipeline.navigation.setup import DEFAULT_DURATION_S, Mission, Req
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.takeover import Source, script_text
 from turtlebag.pipeline.stages.record import deferred_interrupt, save_truth
-from turtlebag.pipeline.terminal.messages import log, say, simulated_time
+from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
 from turtlebag.planners.costmap import polygon_mask
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Simulator
@@ -139,7 +139,7 @@ def _takeovers(mission: Mission) -> Iterator[Source | None]:
     if mission.request.takeover != "keyboard":
         yield None
         return
-    from turtlebag.pipeline.terminal.keyboard import TakeoverKeys, clock, keys_of, redrawn, show
+    from turtlebag.pipeline.terminal.keyboard import TakeoverKeys, clock, keys_of, show
 
     show(TakeoverKeys.TABLE + "\n")
     with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:

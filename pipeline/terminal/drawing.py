@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -73,23 +72,3 @@ def terminal_size() -> Size:
         if columns > 0 and rows > 0:
             return columns, rows
     return 80, 24
-
-
-def fitted(parts: Sequence[str], columns: int) -> str:
-    """The parts in a line, as many from the first on as fit; the first is cut if it has to be."""
-    line = parts[0][:columns]
-    for part in parts[1:]:
-        if len(line) + 2 + len(part) > columns:
-            break
-        line += "  " + part
-    return line
-
-
-def in_place(lines: Sequence[str], size: Size, *, anew: bool) -> str:
-    """What redraws the whole screen without scrolling it; `anew` clears first what else stood there.
-
-    Lines are cut at the right edge; those that are too many go at the top.
-    """
-    columns, rows = size
-    cut = [line[: columns - 1] + "\x1b[K" for line in lines[-rows:]]
-    return ("\x1b[2J" if anew else "") + "\x1b[H" + "\n".join(cut) + "\x1b[J"

@@ -9,15 +9,15 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Literal
 
 import numpy as np
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.terminal.drawing import Canvas, fitted, in_place, terminal_size
-from turtlebag.pipeline.terminal.messages import lines_by, quiet
+from turtlebag.pipeline.terminal.drawing import Canvas, terminal_size
+from turtlebag.pipeline.terminal.messages import quiet
 from turtlebag.sim.robots import Limits, RobotSpec
 from turtlebag.sim.simulator import CONTROL_HZ, Truth
 
@@ -136,7 +136,7 @@ class TakeoverKeys:
         wanted = None if self._keys is None else self._keys.command
         if self._step % VIEW_EVERY == 0:
             whose = "navigation" if wanted is None else f"teleop {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s"
-            self._write(f"\r{stamp_ns * 1e-9:7.1f} s  cmd_vel: {whose}\x1b[K")
+            self._write(f"{stamp_ns * 1e-9:7.1f} s  cmd_vel: {whose}")
         self._step += 1
         return wanted
 
@@ -144,8 +144,8 @@ class TakeoverKeys:
 class View:
     """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone.
 
-    `size` tells the columns and rows of the terminal, which a frame with a drawing fills: the drawing, `keys`
-    (what they do) and the speeds.
+    A frame with a drawing fills the terminal of `size`, columns and rows: the drawing, `keys` (what they do)
+    and the speeds.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class View:
     ) -> None:
         self._T_base_lidar, self._state, self._write = robot.T_base_lidar, state, write
         self._drawing, self._seen = drawing, np.zeros((0, 2), dtype=np.int64)
-        self._keys, self._size, self._drawn = keys.splitlines(), size, (0, 0)
+        self._keys, self._size = keys.splitlines(), size
         self._height = 2.0 * min(robot.lidar.range_max, 5.0)
         self._count = 0
 
@@ -179,23 +179,17 @@ class View:
         """The text of one frame."""
         wanted, odometry = self._state.command, observation.odometry
         x, y, yaw = odometry.T_odom_base.xyt.tolist()
-        columns, rows = size = self._size()
-        line = fitted(
-            (
-                f"{observation.stamp_ns * 1e-9:7.1f} s",
-                f"command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s",
-                f"at {x:+.2f}, {y:+.2f}",
-                f"odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s",
-            ),
-            columns - 1,
+        line = (
+            f"{observation.stamp_ns * 1e-9:7.1f} s  command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s  "
+            f"at {x:+.2f}, {y:+.2f}  odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s"
         )
         if not self._drawing:
-            return "\r" + line + "\x1b[K"
-        canvas = Canvas(max(columns - 1, 1), max(rows - len(self._keys) - 1, 1), (x, y), self._height)
+            return line
+        columns, rows = self._size()
+        canvas = Canvas(columns, max(rows - len(self._keys) - 1, 1), (x, y), self._height)
         canvas.dots(self.map_points)
         canvas.robot(x, y, yaw)
-        anew, self._drawn = size != self._drawn, size
-        return in_place([*canvas.text().split("\n"), *self._keys, line], size, anew=anew)
+        return "\n".join([canvas.text(), *self._keys, line])
 
     @property
     def map_points(self) -> Array:
@@ -236,27 +230,6 @@ def clock(speed: float) -> Callable[[int], None]:
             time.sleep(left)
 
     return wait
-
-
-@contextmanager
-def redrawn(drawing: bool = False) -> Iterator[Callable[[str], None]]:
-    """Writes the frames of a status line or drawing to the terminal; nothing to a file or with -q.
-
-    Lines of others go above the status line or below the drawing; afterwards a new line begins.
-    """
-
-    def redraw(frame: str) -> None:
-        if sys.stderr.isatty():
-            show(frame)
-
-    above, ended = ("\n{}", "\n") if drawing else ("\r\x1b[K{}\n", "\r\x1b[K")
-    try:
-        with (
-            lines_by(lambda line: redraw(above.replace("{}", line))) if sys.stderr.isatty() else nullcontext()
-        ):
-            yield redraw
-    finally:
-        redraw(ended)
 
 
 def show(text: str) -> None:

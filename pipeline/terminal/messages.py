@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress, ProgressColumn
 
 from turtlebag.datasets.errors import InputError
@@ -39,16 +40,6 @@ def _written_above(line: str) -> bool:
     for write in _above[-1:]:
         write(line)
     return bool(_above)
-
-
-@contextmanager
-def lines_by(write: Callable[[str], None]) -> Iterator[None]:
-    """Something is redrawn on the terminal meanwhile; `write` puts a line above it."""
-    _above.append(write)
-    try:
-        yield
-    finally:
-        _above.remove(write)
 
 
 def set_verbosity(level: int) -> None:
@@ -159,6 +150,23 @@ def _shown() -> bool:
 
 
 @contextmanager
+def redrawn() -> Iterator[Callable[[str], None]]:
+    """Shows each frame of a status line or drawing in the place of the last one; silent when stderr is not a
+    terminal or -q was given. A frame is cut where the terminal ends."""
+    if quiet() or not sys.stderr.isatty():
+        yield lambda frame: None
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+    with live, _lines_above(console):
+        yield lambda frame: live.update(Text(frame, no_wrap=True, overflow="crop"), refresh=True)
+
+
+@contextmanager
 def _bar(*columns: str | ProgressColumn) -> Iterator[Progress]:
     """One bar on stderr, gone when done. What is printed is not redirected: stdout may be a file."""
     from rich.console import Console
@@ -166,8 +174,18 @@ def _bar(*columns: str | ProgressColumn) -> Iterator[Progress]:
 
     console = Console(stderr=True)
     bar = Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
-    with bar, lines_by(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)):
+    with bar, _lines_above(console):
         yield bar
+
+
+@contextmanager
+def _lines_above(console: Console) -> Iterator[None]:
+    """Something is redrawn on the console meanwhile: lines go above it."""
+    _above.append(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True))
+    try:
+        yield
+    finally:
+        _above.pop()
 
 
 def length(metres: float) -> str:

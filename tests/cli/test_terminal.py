@@ -69,13 +69,23 @@ def test_a_message_during_a_bar_has_its_own_line_above_it(normal):
     assert "follow" in written
 
 
+def test_frames_are_redrawn_in_place_with_messages_above(normal):
+    with redirect_stderr(Terminal()) as terminal, console.redrawn() as redraw:
+        redraw("1.0 s")
+        console.log.info("goal 1 of 2: reached")
+        redraw("2.0 s")
+    written = terminal.getvalue()
+    assert written.index("1.0 s") < written.index("goal 1 of 2: reached\n") < written.index("2.0 s")
+
+
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])
 def test_without_a_terminal_or_quietly_no_bar_is_drawn(normal, stream):
     console.set_verbosity(-1 if stream is Terminal else 0)
     with redirect_stderr(stream()) as written:
-        with console.simulated_time() as clock, console.drawing() as told:
+        with console.simulated_time() as clock, console.drawing() as told, console.redrawn() as redraw:
             clock(10**9, "follow")
             told("a figure")
+            redraw("a frame")
         assert list(console.track(range(3), "some")) == [0, 1, 2]
     assert written.getvalue() == ""
 
