@@ -18,7 +18,7 @@ from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.figures import animation, maps, runs, series
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.cloud import cloud_from_above
-from turtlebag.reports.figures.graph import pose_graph, shown_edges
+from turtlebag.reports.figures.graph import pose_graph
 from turtlebag.reports.figures.particles import particles
 from turtlebag.reports.g2o import read_g2o, read_loops
 from turtlebag.reports.metrics.navigation import collision_episodes
@@ -74,7 +74,7 @@ def draw_map(stage: Stage, group: Group, album: Album) -> None:
             album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
     if stage.has("map.ply"):
         _add_cloud(stage, album)
-    if stage.has("graph.g2o"):
+    if stage.has("graph.g2o") and stage.has("graph.json"):
         _add_graph(stage, grid, album)
     _add_mapping_animation(stage, recording, odometry, album)
 
@@ -117,13 +117,12 @@ def read_again(folder: Path) -> Recording | None:
 
 def _add_graph(stage: Stage, grid: OccupancyGrid | None, album: Album) -> None:
     graph = read_g2o(stage.folder / "graph.g2o")
-    record = read_loops(stage.folder / "graph.json") if stage.has("graph.json") else None
-    pairs, residual_m = shown_edges(graph, record)
-    what = "loops" if record is not None else "edges between distant keys"
+    record = read_loops(stage.folder / "graph.json")
+    pairs, residual_m = record.kept(len(graph.T_map_keys))
     caption = (
         "The grey line joins the key scans in order, coloured lines visits to the same place: blue where "
         "they agree with the map, orange where they conflict with it. "
-        f"{len(graph.T_map_keys)} key scans, {len(graph.i)} edges; the {len(pairs)} {what} are drawn"
+        f"{len(graph.T_map_keys)} key scans, {graph.edges} edges; the {len(pairs)} loops are drawn"
     )
     if len(pairs):
         middle, worst = shown(float(np.median(residual_m)), "cm"), shown(float(residual_m.max()), "cm")

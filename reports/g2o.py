@@ -16,19 +16,10 @@ from turtlebag.datasets.se2 import SE2, Array
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
-    """Keys (n,) and edges (m,): `T_i_j` measured between keys `i` and `j`, information (m, 3, 3)."""
+    """Keys (n,) in the order of their numbers, and how many edges join them."""
 
     T_map_keys: SE2
-    i: NDArray[np.int64]
-    j: NDArray[np.int64]
-    T_i_j: SE2
-    information: Array
-
-    def residuals(self) -> tuple[Array, Array]:
-        """Distance [m] and yaw [rad] between each measurement and the graph's own poses, (m,)."""
-        found = self.T_map_keys[self.i].inverse() @ self.T_map_keys[self.j]
-        error = self.T_i_j.inverse() @ found
-        return np.linalg.norm(error.xy, axis=-1), np.abs(error.yaw)
+    edges: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +30,11 @@ class LoopRecord:
     j: NDArray[np.int64]
     residual_m: Array
     accepted: NDArray[np.bool_]
+
+    def kept(self, keys: int) -> tuple[NDArray[np.int64], Array]:
+        """Keys (n, 2) and residuals [m] of the accepted ones in a graph of so many keys."""
+        chosen = self.accepted & (np.maximum(self.i, self.j) < keys)
+        return np.stack([self.i[chosen], self.j[chosen]], axis=1), self.residual_m[chosen]
 
 
 def read_loops(path: Path) -> LoopRecord:
@@ -53,10 +49,6 @@ def read_loops(path: Path) -> LoopRecord:
     return LoopRecord(i, j, table[:, 2], table[:, 3] > 0.5)
 
 
-_XY_YAW = (0, 1, 5, 6, 10, 20)
-"""Where the upper triangle of a 6 x 6 matrix, row by row, holds that of x, y and yaw."""
-
-
 def _seen_from_above(pose: list[float]) -> list[float]:
     """x, y and yaw of x, y, z and a quaternion x, y, z, w."""
     x, y, _, qx, qy, qz, qw = pose
@@ -64,37 +56,24 @@ def _seen_from_above(pose: list[float]) -> list[float]:
 
 
 def read_g2o(path: Path) -> PoseGraph:
-    """Read vertices and edges, SE2 or SE3:QUAT; InputError names a line that is not readable."""
+    """Read vertices and count edges, SE2 or SE3:QUAT; InputError names a line that is not readable."""
     poses: dict[int, list[float]] = {}
-    edges: list[list[float]] = []
+    joined: list[int] = []
     for number, line in enumerate(path.read_text().splitlines(), start=1):
         tag, *fields = line.split() or [""]
         try:
             if tag == "VERTEX_SE2":
                 x, y, yaw = (float(field) for field in fields[1:4])
                 poses[int(fields[0])] = [x, y, yaw]
-            elif tag == "EDGE_SE2":
-                edges.append([float(field) for field in fields[:11]])
             elif tag == "VERTEX_SE3:QUAT":
                 poses[int(fields[0])] = _seen_from_above([float(field) for field in fields[1:8]])
-            elif tag == "EDGE_SE3:QUAT":
-                pose, upper = fields[2:9], fields[9:30]
-                above = _seen_from_above([float(field) for field in pose])
-                kept = [float(upper[k]) for k in _XY_YAW]
-                edges.append([float(fields[0]), float(fields[1]), *above, *kept])
+            elif tag in ("EDGE_SE2", "EDGE_SE3:QUAT"):
+                joined += [int(fields[0]), int(fields[1])]
         except (ValueError, IndexError):
             raise InputError(f"{path}, line {number}: not a {tag} line") from None
-    if not poses or any(len(edge) != 11 for edge in edges):
-        raise InputError(f"{path}: not a planar g2o graph")
-    index = {key: position for position, key in enumerate(sorted(poses))}
-    table = np.array(edges, dtype=np.float64).reshape(-1, 11)
-    try:
-        i, j = (np.array([index[int(key)] for key in table[:, column]], dtype=np.int64) for column in (0, 1))
-    except KeyError as error:
-        raise InputError(f"{path}: an edge names vertex {error}, which is not there") from None
-    information = np.zeros((len(table), 3, 3))
-    rows, columns = np.triu_indices(3)
-    information[:, rows, columns] = table[:, 5:]
-    information[:, columns, rows] = table[:, 5:]
+    if not poses:
+        raise InputError(f"{path}: not a g2o graph")
+    if missing := set(joined) - set(poses):
+        raise InputError(f"{path}: an edge names vertex {min(missing)}, which is not there")
     vertices = SE2.from_array(np.array([poses[key] for key in sorted(poses)]))
-    return PoseGraph(vertices, i, j, SE2.from_array(table[:, 2:5]), information)
+    return PoseGraph(vertices, len(joined) // 2)

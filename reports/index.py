@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from turtlebag.reports.content import collision_count, stage_metrics, verdict
 from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.navigation import truly_reached
 from turtlebag.reports.numbers import counted, lookup, shown
-from turtlebag.reports.stages import KINDS, Stage, load_stage, read_json
+from turtlebag.reports.stages import ALIASES, KINDS, Stage, load_stage, read_json
 
 # (head, path in the metrics, unit)
 COLUMNS = (
@@ -41,33 +41,27 @@ class Line:
     values: list[tuple[str, str]]
 
 
-def find_outputs(roots: Sequence[Path]) -> Iterator[Path]:
-    """Folders below the roots (or themselves) that hold a manifest, in order of their paths."""
+def shown_outputs(roots: Sequence[Path]) -> dict[Path, str]:
+    """Folders below the roots (or themselves) of finished records, maps and runs, and the names to show them
+    by; everything else is passed over."""
+    found = {}
     for root in roots:
         if not root.is_dir():
             raise InputError(f"{root}: no such folder")
-        for manifest in sorted(root.rglob("manifest.json")):
-            if not any(part.endswith(".partial") for part in manifest.parts):
-                yield manifest.parent
+        for path in sorted(root.rglob("manifest.json")):
+            growing = any(part.endswith(".partial") for part in path.parts)
+            if not growing and read_json(path).get("stage") in (*KINDS, *ALIASES):
+                found[path.parent.resolve()] = _name(path.parent, root)
+    return found
 
 
-def shown_outputs(roots: Sequence[Path]) -> dict[Path, str]:
-    """Folders of the records, maps and runs below the roots, and the names to show them by."""
-    return {
-        folder.resolve(): _name(folder, root)
-        for root in roots
-        for folder in find_outputs([root])
-        if read_json(folder / "manifest.json").get("stage") in (*KINDS, "run")
-    }
-
-
-def index_lines(roots: Sequence[Path]) -> list[Line]:
-    """A line for each finished record, map or run below the roots; everything else is passed over.
+def index_lines(outputs: Mapping[Path, str]) -> list[Line]:
+    """A line for each output, by its name.
 
     What a map or a localisation does not say itself - world, robot, seed - is its recording's, where that is
     among the outputs.
     """
-    stages = {name: load_stage(folder) for folder, name in shown_outputs(roots).items()}
+    stages = {name: load_stage(folder) for folder, name in outputs.items()}
     records = {
         digest: stage
         for stage in stages.values()

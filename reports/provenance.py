@@ -39,7 +39,7 @@ def recipe(groups: Sequence[Group]) -> list[Step]:
 
 
 def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
-    words = [word for word in renamed(stage.command, names) if word != "--force"]
+    words = [word for word in renamed(stage.manifest.command, names) if word != "--force"]
     inputs = [
         (f"{name}: {path}" if path != name else name, digest)
         for name, entry in stage.manifest.inputs.items()
@@ -49,7 +49,7 @@ def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
         label,
         shlex.join(words),
         DASH if stage.seed is None else str(stage.seed),
-        stage.config_hash or "",
+        stage.outputs.get("config.yaml", ""),
         inputs,
         sorted(stage.outputs.items()),
     )

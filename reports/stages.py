@@ -69,11 +69,6 @@ class Stage:
     title: str = ""
 
     @property
-    def command(self) -> list[str]:
-        """The command line that made it."""
-        return self.manifest.command
-
-    @property
     def seed(self) -> int | None:
         """Its seed, where it had one."""
         return self.manifest.seed
@@ -89,7 +84,7 @@ class Stage:
 
     def options(self, name: str) -> list[str]:
         """Every value of `--name` in its command line."""
-        words = self.command
+        words = self.manifest.command
         return [
             following if word == f"--{name}" else word.partition("=")[2]
             for word, following in zip(words, [*words, ""][1:], strict=True)
@@ -102,11 +97,6 @@ class Stage:
         path = self.folder / "config.yaml"
         data = plain_values(path.read_text()) if path.is_file() else {}
         return data if isinstance(data, dict) else {}
-
-    @property
-    def config_hash(self) -> str | None:
-        """sha256 of its config.yaml."""
-        return self.outputs.get("config.yaml")
 
     @cached_property
     def metrics(self) -> Mapping[str, Any]:

@@ -68,11 +68,11 @@ def make_report(
 
 def make_index(roots: Sequence[Path], out: Output) -> Path:
     """Write a page with a sortable table of every output below `roots`; returns its path."""
-    lines = index_lines(roots)
-    if not lines:
+    outputs = shown_outputs(roots)
+    if not outputs:
         places = ", ".join(str(root) for root in roots)
         raise InputError(f"{places}: no finished outputs in it; give the folder that holds them")
-    with out.staged(shown_outputs(roots)) as partial:
-        (partial / "index.html").write_text(render_index(lines))
+    with out.staged(outputs) as partial:
+        (partial / "index.html").write_text(render_index(index_lines(outputs)))
         out.finish(partial, "index", {})
     return out.folder / "index.html"

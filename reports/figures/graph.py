@@ -7,40 +7,21 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures.maps import ERROR_SCALE_M, add_scale, faint_map
 from turtlebag.reports.figures.style import FINE_TO_BAD, MUTED
 from turtlebag.reports.g2o import LoopRecord, PoseGraph
 
-LOOP_GAP = 10
-"""Without a record of the loops, edges between keys at least this many apart are drawn."""
 
-
-def distant(graph: PoseGraph) -> NDArray[np.bool_]:
-    """Which edges join keys that were not made one after the other, (m,)."""
-    return np.abs(graph.i - graph.j) >= LOOP_GAP
-
-
-def shown_edges(graph: PoseGraph, record: LoopRecord | None) -> tuple[NDArray[np.int64], Array]:
-    """Keys (n, 2) and residuals [m] of what to draw: accepted loops, or else edges of distant keys."""
-    if record is not None:
-        chosen = record.accepted & (np.maximum(record.i, record.j) < len(graph.T_map_keys))
-        return np.stack([record.i[chosen], record.j[chosen]], axis=1), record.residual_m[chosen]
-    far = distant(graph)
-    return np.stack([graph.i[far], graph.j[far]], axis=1), graph.residuals()[0][far]
-
-
-def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord | None) -> Figure:
+def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord) -> Figure:
     """Keys in order as a thin line, loops as lines from blue (agrees) to orange (strained)."""
     keys = Trajectory.untimed(graph.T_map_keys)
     figure, axes = faint_map(grid, [keys], bar=True)
     axes.plot(keys.poses.x, keys.poses.y, "-", color=MUTED, linewidth=0.8, zorder=2)
     axes.plot(keys.poses.x, keys.poses.y, ".", color=MUTED, markersize=3, zorder=3)
-    pairs, residual_m = shown_edges(graph, record)
+    pairs, residual_m = record.kept(len(keys))
     order = np.argsort(residual_m, kind="stable")
     residual_cm = 100.0 * residual_m
     segments = keys.poses.xy[pairs[order]]
@@ -49,7 +30,7 @@ def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord 
         list(segments),
         cmap=FINE_TO_BAD,
         norm=norm,
-        linewidths=0.9 if record is None else 1.8,
+        linewidths=1.8,
         alpha=0.8,
         zorder=4,
     )

@@ -130,6 +130,9 @@ def fake_map(folder: Path, record: Path, *, sigma_m: float = 0.005) -> Path:
         "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 0.1 0 0\n"
         "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\nEDGE_SE2 0 2 0 0 0.02 100 0 0 100 0 400\n"
     )
+    verdicts = ["accepted"] * 5 + ["low overlap"] * 4
+    loops = [{"i": 2, "j": 0, "residual_m": 0.1, "verdict": verdict} for verdict in verdicts]
+    write_json(folder / "graph.json", {"loops": loops})
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "map", str(record), "--out", str(folder)]
     inputs = {"source": record / "bag"}

@@ -64,7 +64,7 @@ def test_the_command_prints_the_differences(tree, capsys):
     out = capsys.readouterr().out
     assert "front.sigma: 0.005 -> 0.02" in out
     assert "trajectory error (ATE), RMSE" in out
-    assert out.endswith("\n3 files identical, 3 different\n")
+    assert out.endswith("\n4 files identical, 3 different\n")
     assert out.splitlines()[1].split() == ["A", "B", "B", "-", "A"]
 
 

@@ -221,7 +221,7 @@ def test_g2o_is_read_back_by_gtsam_and_by_the_reports(tmp_path):
     assert graph.error(values) < 1e-6
     seen = read_g2o(tmp_path / "g.g2o")
     np.testing.assert_allclose(seen.T_map_keys.xyt, se3.planar(T).xyt, atol=1e-7)
-    np.testing.assert_allclose(np.diagonal(seen.information[0]), [1e3, 1e3, 1e4])
+    assert seen.edges == len(edges)
 
 
 def test_the_cloud_map_holds_the_means_of_its_voxels_however_they_come(monkeypatch):

@@ -1,7 +1,6 @@
 """Verification finds every kind of lie in a report, and nothing in an honest one."""
 
 import json
-import math
 import re
 import shutil
 from dataclasses import replace
@@ -58,7 +57,7 @@ def test_an_honest_report_verifies(tree):
     assert found.problems == []
     assert len(found.checks) > 40
     assert all(check.agrees for check in found.checks)
-    assert set(found.unchecked) >= {"room/map:loops.accepted", "room/map:curious.value"}
+    assert "room/map:curious.value" in found.unchecked
 
 
 @pytest.mark.slow
@@ -202,17 +201,12 @@ def test_numbers_agree_up_to_the_rounding_of_files():
     assert not same(True, 2)
 
 
-def test_residuals_of_a_graph_are_zero_where_it_agrees_with_its_edges(tmp_path):
+def test_a_graph_is_read_in_the_order_of_its_keys(tmp_path):
     path = tmp_path / "graph.g2o"
-    path.write_text(
-        f"VERTEX_SE2 0 0 0 {math.pi / 2}\nVERTEX_SE2 7 0 1 {math.pi / 2}\n"
-        "EDGE_SE2 0 7 1 0 0 1 0 0 1 0 1\nEDGE_SE2 7 0 -1 0.3 0.1 2 0 0 3 0 4\n"
-    )
+    path.write_text("VERTEX_SE2 7 0 1 0.5\nVERTEX_SE2 0 3 0 0\nEDGE_SE2 0 7 1 0 0 1 0 0 1 0 1\n")
     graph = read_g2o(path)
-    distance, yaw = graph.residuals()
-    assert distance == pytest.approx([0.0, 0.3], abs=1e-12)
-    assert yaw == pytest.approx([0.0, 0.1])
-    assert graph.information[1].diagonal().tolist() == [2.0, 3.0, 4.0]
+    assert graph.T_map_keys.xyt.tolist() == [[3.0, 0.0, 0.0], [0.0, 1.0, 0.5]]
+    assert graph.edges == 1
 
 
 @pytest.mark.parametrize("text", ["", "VERTEX_SE2 0 0", "VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 5 1 0 0 1 0 0 1 0 1"])

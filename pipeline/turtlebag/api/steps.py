@@ -196,7 +196,8 @@ def report(
     shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
     words, known, files = rival_options(rivals)
     with step("report", out, force=force, inputs={**shown, **files}) as now:
-        make(now.arguments(*outputs, rival=words, **known, no_animation=not animate, paper=paper))
+        paths = [path_of(one, what) for what, one in shown.items()]
+        make(now.arguments(*paths, rival=words, **known, no_animation=not animate, paper=paper))
         return Report.of(now)
 
 
