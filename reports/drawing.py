@@ -47,14 +47,19 @@ def draw_map(stage: Stage, group: Group, album: Album) -> None:
     record = group.record_of(stage)
     truth = record.truth if record is not None else None
     true_map = record.true_map if record is not None else None
-    recording = source_recording(stage, record)
-    odometry = odometry_of(recording)
     if grid is not None and true_map is not None:
         caption = (
             "Every wall cell of the map, coloured by its distance from the nearest true surface (grey). Blue "
             "is on the surface, grey-brown one cell away; orange is a wall that does not exist."
         )
         album.add("error", "Map over truth", caption, maps.map_over_truth, grid, true_map)
+    if grid is not None and (slam is None or truth is None):
+        caption = (
+            "The map and the robot's path. The truth is not known here; look for walls that appear twice."
+        )
+        album.add("map", "Map", caption, maps.plain_map, grid, {"slam": slam})
+    recording = source_recording(stage, record)
+    odometry = odometry_of(recording)
     if slam is not None and truth is not None:
         caption = (
             "SLAM's path should run along the middle of the wide pale band, which is the truth. "
@@ -63,15 +68,10 @@ def draw_map(stage: Stage, group: Group, album: Album) -> None:
         paths = {"truth": truth, "odometry": odometry, "slam": slam}
         album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
         _add_errors(album, slam, odometry, truth)
-    elif grid is not None:
-        caption = (
-            "The map and the robot's path. The truth is not known here; look for walls that appear twice."
-        )
-        album.add("map", "Map", caption, maps.plain_map, grid, {"slam": slam})
-        if odometry is not None and slam is not None:
-            caption = "The path by odometry alone and the path by SLAM."
-            paths = {"odometry": odometry, "slam": slam}
-            album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
+    elif slam is not None and grid is not None and odometry is not None:
+        caption = "The path by odometry alone and the path by SLAM."
+        paths = {"odometry": odometry, "slam": slam}
+        album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
     if stage.has("map.ply"):
         _add_cloud(stage, album)
     if stage.has("graph.g2o") and stage.has("graph.json"):

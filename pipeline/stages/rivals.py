@@ -87,12 +87,11 @@ def remembered(files: Sequence[RivalFiles], out: Path) -> list[dict[str, Any]]:
 def recalled(manifest: Manifest, out: Path) -> list[RivalFiles]:
     """The rivals of a report in `out`, wherever report and files were moved together."""
 
-    def found(one: RivalFiles, what: str, path: Path | None) -> Path | None:
-        if path is None or (out / path).is_file():
-            return path and out / path
-        return manifest.inputs[f"{MARK}{one.name}/{what}"].path
+    def found(one: RivalFiles) -> dict[str, Any]:
+        given = {what: path for what, path in one.paths.items() if path is not None}
+        return {
+            what: out / path if (out / path).is_file() else manifest.inputs[f"{MARK}{one.name}/{what}"].path
+            for what, path in given.items()
+        }
 
-    return [
-        replace(one, **{what: found(one, what, path) for what, path in one.paths.items()})
-        for one in manifest.rivals
-    ]
+    return [replace(one, **found(one)) for one in manifest.rivals]

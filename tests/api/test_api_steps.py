@@ -107,7 +107,7 @@ def test_what_is_shown_is_well_formed_with_a_picture(made, tmp_path):
     assert str(report.path) in repr(report)
     for shown in (bag, m, run, m.trajectory):
         page = ElementTree.fromstring(shown._repr_html_())
-        assert page.findall(".//{http://www.w3.org/2000/svg}polyline")
+        assert page.findall(".//{http://www.w3.org/2000/svg}path")
     words = "".join(ElementTree.fromstring(m._repr_html_()).itertext())
     assert "a <note> & more" in words
     assert m.verdict in words

@@ -90,7 +90,9 @@ class Output:
         return {}
 
     def _picture(self) -> str:
-        return ""
+        from turtlebag.api.pictures import picture_of
+
+        return "" if self.stage is None else picture_of(self.stage)
 
     def _repr_html_(self) -> str:
         from turtlebag.api.pictures import card
@@ -180,10 +182,11 @@ class Bag(Output):
         return {"lidar": f"{lidar.n_beams} beams, {lidar.range_min:g} to {lidar.range_max:g} m"}
 
     def _picture(self) -> str:
-        from turtlebag.api.pictures import scene
+        from turtlebag.api.pictures import path_picture
 
-        true_map = None if self.stage is None else self.stage.true_map
-        return scene(true_map, {"truth": self.truth, "odometry": self.odometry})
+        if self.stage is not None or self.odometry is None:
+            return super()._picture()
+        return path_picture(self.odometry)
 
 
 class Map(Output):
@@ -269,9 +272,10 @@ class Map(Output):
         return facts
 
     def _picture(self) -> str:
-        from turtlebag.api.pictures import scene
+        from turtlebag.api.pictures import svg_of
+        from turtlebag.reports.figures.maps import plain_map
 
-        return scene(self.occupancy, {"map": None if self.stage is None else self.stage.trajectory})
+        return super()._picture() if self.stage is not None else svg_of(plain_map, self.occupancy, {})
 
 
 def as_map(map: PathLike) -> Map:

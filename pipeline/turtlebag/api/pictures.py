@@ -1,32 +1,25 @@
-"""What a notebook shows of a result: a card with its verdict, a few facts and a picture."""
+"""What a notebook shows of a result: a card with its verdict, a few facts and the report's picture of it."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
-import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.interactive_map import interactive_map
+from turtlebag.reports.content import DRAW
+from turtlebag.reports.figures.album import Album
+from turtlebag.reports.figures.maps import draw_path, draw_start, faint_map
+from turtlebag.reports.figures.style import BAD, GOOD, MUTED, styled, svg_text
+from turtlebag.reports.stages import Group, Stage
 
-WIDTH_PX, TALLEST_PX = 420, 520
+WIDTH_PX = 420
 ROWS_SHOWN = 12
-LINES = {
-    "truth": ("#9ccbee", 3.2),
-    "odometry": ("#b455a0", 1.2),
-    "map": ("#0072b2", 1.5),
-    "estimate": ("#009e73", 1.5),
-    "plan": ("#0072b2", 1.5),
-}
-"""Colour and width [px] of a path by what it is, those of the report's figures."""
-MOODS = {"good": "#009e73", "bad": "#d55e00", "neutral": "#5f6873"}
-CELL_M = 0.05
-MARGIN_M = 0.3
+MOODS = {"good": GOOD, "bad": BAD, "neutral": MUTED}
 
 
 def card(title: str, said: str, facts: Mapping[str, str], picture: str = "", mood: str = "neutral") -> str:
@@ -47,50 +40,46 @@ def card(title: str, said: str, facts: Mapping[str, str], picture: str = "", moo
     )
 
 
-def scene(
-    grid: OccupancyGrid | None,
-    paths: Mapping[str, Trajectory | None],
-    goals: Sequence[Mapping[str, Any]] = (),
-) -> str:
-    """SVG of a map with paths, keys of LINES, and goals, green where they were truly reached."""
-    drawn = {kind: path for kind, path in paths.items() if path is not None and len(path)}
-    if grid is None:
-        grid = _floor_under(list(drawn.values()))
-    if grid is None:
-        return ""
-    found = interactive_map(grid, {kind: (kind, path) for kind, path in drawn.items()}, goals)
-    _, _, width_m, height_m = (float(part) for part in found.view.split())
-    width = min(float(WIDTH_PX), TALLEST_PX * width_m / height_m)
-    x, y, yaw = found.origin
-    rows_m, columns_m = found.rows * found.resolution, found.columns * found.resolution
-    pixel = width_m / width
-    body = [
-        f'<g transform="translate({x} {-y}) rotate({-np.rad2deg(yaw)})"><image href="{found.image}" x="0" '
-        f'y="{-rows_m}" width="{columns_m}" height="{rows_m}" preserveAspectRatio="none" '
-        'style="image-rendering:pixelated"/></g>'
-    ]
-    for _, kind, points in found.lines:
-        colour, thick = LINES[kind]
-        body.append(
-            f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="{thick * pixel:.4f}" '
-            'stroke-linejoin="round"/>'
-        )
-    for goal_x, goal_y, number, mood in found.goals:
-        body.append(
-            f'<circle cx="{goal_x}" cy="{-goal_y}" r="{8 * pixel:.4f}" fill="{MOODS[mood]}"/>'
-            f'<text x="{goal_x}" y="{-goal_y + 3.5 * pixel:.4f}" font-size="{10 * pixel:.4f}" fill="#fefefe" '
-            f'text-anchor="middle" font-family="sans-serif">{number}</text>'
-        )
-    svg = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{found.view}" width="{width:.0f}" '
-        f'style="display:block;margin:8px 0 0;max-width:100%" role="img">{"".join(body)}</svg>'
-    )
-    return svg + _legend([kind for _, kind, _ in found.lines])
+class _Enough(Exception):
+    """There is a picture."""
+
+
+class _First(Album):
+    """Keeps the first picture and no file."""
+
+    svg = ""
+
+    def add(self, name: str, title: str, caption: str, draw: Callable[..., Figure], *drawn: Any) -> None:
+        """Draw it, and no other."""
+        self.svg = svg_of(draw, *drawn)
+        raise _Enough
+
+
+def picture_of(stage: Stage) -> str:
+    """The first picture that a report has of an output, as SVG; empty where it has none."""
+    album = _First(None, animate=False)
+    with suppress(_Enough):
+        DRAW[stage.kind](stage, Group("", (stage,)), album)
+    return album.svg
+
+
+def svg_of(draw: Callable[..., Figure], *drawn: Any) -> str:
+    """A figure as SVG in a box of the card's width."""
+    with styled():
+        svg = svg_text(draw(*drawn), "picture")
+    return f'<div style="width:{WIDTH_PX}px;max-width:100%;margin-top:8px">{svg}</div>'
 
 
 def path_picture(path: Trajectory) -> str:
     """SVG of a path alone."""
-    return scene(None, {"map": path}).partition("</svg>")[0] + "</svg>" if len(path) else ""
+
+    def draw() -> Figure:
+        figure, axes = faint_map(None, [path])
+        draw_path(axes, path, "slam")
+        draw_start(axes, path.poses[0])
+        return figure
+
+    return svg_of(draw) if len(path) else ""
 
 
 def table_html(table: Mapping[str, NDArray[Any]]) -> str:
@@ -108,24 +97,3 @@ def table_html(table: Mapping[str, NDArray[Any]]) -> str:
 
 def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _legend(kinds: Sequence[str]) -> str:
-    keys = "".join(
-        f'<span style="margin-right:14px"><span style="display:inline-block;width:18px;height:0;'
-        f'border-top:{max(LINES[kind][1], 2.0)}px solid {LINES[kind][0]};vertical-align:middle"></span> '
-        f"{kind}</span>"
-        for kind in kinds
-    )
-    return f'<div style="font-size:12px;color:#5f6873;margin-top:4px">{keys}</div>'
-
-
-def _floor_under(paths: Sequence[Trajectory]) -> OccupancyGrid | None:
-    """A blank floor where there is no map to draw on."""
-    if not paths:
-        return None
-    xy = np.concatenate([path.poses.xy for path in paths])
-    low, high = xy.min(axis=0) - MARGIN_M, xy.max(axis=0) + MARGIN_M
-    size = max(float((high - low).max()) / 500.0, CELL_M)
-    columns, rows = np.ceil((high - low) / size).astype(int).tolist()
-    return OccupancyGrid(np.zeros((rows, columns), dtype=np.int8), size, SE2.from_xyt(low[0], low[1], 0.0))

@@ -11,10 +11,8 @@ import numpy as np
 from turtlebag.api.outputs import Bag, Map, Output, optional
 from turtlebag.api.tables import Table, Trajectory
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLog
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import Array
 from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest, read_path
@@ -26,21 +24,11 @@ GOAL_COLUMNS = ("x", "y", "yaw", "status", "time_s", "error_m", "error_rad")
 Part = TypeVar("Part", bound=Output)
 
 
-class _OnAMap(Output):
-    """An output of ours that was made with a map given."""
-
-    stage: Stage
-
-    @cached_property
-    def _given_map(self) -> OccupancyGrid | None:
-        path = self.stage.input_paths().get("map")
-        return load_map(path) if path is not None and path.is_file() else None
-
-
-class Run(_OnAMap):
+class Run(Output):
     """What `navigate` drove."""
 
     kind = "navigate"
+    stage: Stage
 
     @property
     def success(self) -> bool:
@@ -97,20 +85,12 @@ class Run(_OnAMap):
             "clearance": f"{shown(found.get('min_clearance_m'), 'cm')} at least",
         }
 
-    def _picture(self) -> str:
-        from turtlebag.api.pictures import scene
 
-        stage = self.stage
-        grid = next((one for one in (self._given_map, stage.map, stage.true_map) if one is not None), None)
-        believed = "estimate" if self.metrics.get("localisation_error_m") else "odometry"
-        paths = {"truth": stage.truth, believed: stage.trajectory}
-        return scene(grid, paths, self.metrics.get("goals") or [])
-
-
-class Localisation(_OnAMap):
+class Localisation(Output):
     """Where `localise` says a recorded robot was on a map."""
 
     kind = "localise"
+    stage: Stage
 
     @property
     def success(self) -> bool:
@@ -129,16 +109,12 @@ class Localisation(_OnAMap):
             return {}
         return {"scans": str(found["scans"]), "agreement": f"{found['agreement']:.0%} of the latest scans"}
 
-    def _picture(self) -> str:
-        from turtlebag.api.pictures import scene
 
-        return scene(self._given_map, {"estimate": self.trajectory})
-
-
-class Plan(_OnAMap):
+class Plan(Output):
     """A path that `plan` found, or why there is none."""
 
     kind = "plan"
+    stage: Stage
 
     @property
     def success(self) -> bool:
@@ -154,12 +130,6 @@ class Plan(_OnAMap):
     def length_m(self) -> float:
         """Length of the path [m]; NaN without one."""
         return float(self.metrics.get("length_m", np.nan))
-
-    def _picture(self) -> str:
-        from turtlebag.api.pictures import scene
-
-        stamps = np.zeros(len(self.poses), dtype=np.int64)
-        return scene(self._given_map, {"plan": Trajectory(stamps, SE2(self.poses))})
 
 
 class _Page(Output):
