@@ -231,6 +231,13 @@ class Recording:
         apart = np.diff(beam)[np.diff(scan) == 0]
         return int(np.bincount(apart).argmax()) if len(apart) else 1
 
+    @property
+    def path(self) -> Trajectory | None:
+        """Odometry at its full rate, or where the log has none at the scans; None without odometry."""
+        if self.odometry is not None or self.T_odom_base is None:
+            return self.odometry
+        return Trajectory(self.stamps_ns, self.T_odom_base)
+
     def scan(self, index: int) -> Scan:
         """One sweep of the log."""
         return Scan(int(self.stamps_ns[index]), self.ranges[index], self.lidar)

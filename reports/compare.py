@@ -9,18 +9,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import OCCUPIED_FROM, OccupancyGrid
-from turtlebag.datasets.types import Trajectory
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.content import stage_metrics, verdict
-from turtlebag.reports.figures import comparison
+from turtlebag.reports.figures import systems
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.figures.series import time_axis
 from turtlebag.reports.metric_spec import LESS_IS_BETTER, MORE_IS_BETTER
 from turtlebag.reports.metric_specs import SPECS
-from turtlebag.reports.metrics.map import occupied
+from turtlebag.reports.metrics.map import walls_in
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import DASH, leaves, lookup, shown
 from turtlebag.reports.provenance import renamed
@@ -134,20 +132,22 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
     if a.map is not None and b.map is not None:
         both, only_a, only_b = map_overlap(a.map, b.map)
         caption = (
-            f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Coloured "
-            "walls away from the grey exist in only one of the two."
+            f"Wall cells: {both} in both to a cell (grey), {only_a} only in A, {only_b} only in B. Coloured "
+            "walls exist in only one of the two."
         )
-        album.add("maps", "Maps", caption, comparison.maps, a.map, b.map)
+        album.add("maps", "Maps", caption, systems.walls, a.map, b.map, ("A", "B"))
     path_a, path_b = driven(a), driven(b)
     if path_a is not None and path_b is not None:
         grids = (a.map, a.true_map, Group("", (a,)).given_map(a))
         ground = next((grid for grid in grids if grid is not None), None)
         caption = f"{PATHS.get(a.kind, 'True paths')}: A wide, B thin on top of it."
-        album.add("paths", "Paths", caption, comparison.paths, ground, path_a, path_b)
+        album.add("paths", "Paths", caption, systems.paths, ground, None, {"A": path_a, "B": path_b})
     errors_a, errors_b = _errors(a), _errors(b)
     if errors_a is not None and errors_b is not None:
         caption = "Distance of the estimate from the truth, each run in its own time; lower is better."
-        album.add("errors", "Position error", caption, comparison.errors, errors_a, errors_b)
+        both_errors = {"A": errors_a, "B": errors_b}
+        label = "position error [cm]"
+        album.add("errors", "Position error", caption, systems.errors, both_errors, "AB", label)
     elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
         _draw_apart(path_a, path_b, album)
 
@@ -159,9 +159,9 @@ def same_input(a: Stage, b: Stage) -> bool:
 
 def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
     pairs = associate(path_b, path_a)
-    time_s = time_axis(pairs.stamps_ns, int(pairs.stamps_ns.min()))
     caption = "Distance between the estimates of A and B at the same instant."
-    album.add("apart", "Difference", caption, comparison.apart, time_s, pairs.position_errors())
+    apart = {"A to B": (pairs.stamps_ns, pairs.position_errors())}
+    album.add("apart", "Difference", caption, systems.errors, apart, [*apart], "A to B [cm]")
 
 
 def driven(stage: Stage) -> Trajectory | None:
@@ -173,20 +173,17 @@ def driven(stage: Stage) -> Trajectory | None:
     return stage.truth
 
 
-def _errors(stage: Stage) -> tuple[np.ndarray, np.ndarray] | None:
-    """(seconds, metres) of a run's localisation error."""
+def _errors(stage: Stage) -> tuple[Stamps, Array] | None:
+    """A run's localisation error [m], by the time since its first scan."""
     if stage.kind != "navigate" or stage.trajectory is None or stage.truth is None:
         return None
     if not stage.metrics.get("localisation_error_m"):
         return None
     pairs = associate(stage.trajectory, stage.truth)
-    return time_axis(pairs.stamps_ns, int(pairs.stamps_ns[0])), pairs.position_errors()
+    return pairs.stamps_ns - pairs.stamps_ns[0], pairs.position_errors()
 
 
 def map_overlap(a: OccupancyGrid, b: OccupancyGrid) -> tuple[int, int, int]:
-    """Occupied cells of A that are occupied in B too, those that are not, and those of B not in A."""
-    cells_a = a.center_of(np.argwhere(occupied(a)))
-    cells_b = b.center_of(np.argwhere(occupied(b)))
-    in_b = b.value_at(cells_a) >= OCCUPIED_FROM
-    in_a = a.value_at(cells_b) >= OCCUPIED_FROM
+    """Occupied cells of A that B has too, to a cell, those that it has not, and those of B that A has not."""
+    in_b, in_a = walls_in(a, b), walls_in(b, a)
     return int(in_b.sum()), int((~in_b).sum()), int((~in_a).sum())

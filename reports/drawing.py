@@ -59,7 +59,7 @@ def draw_map(stage: Stage, group: Group, album: Album) -> None:
         )
         album.add("map", "Map", caption, maps.plain_map, grid, {"slam": slam})
     recording = source_recording(stage, record)
-    odometry = odometry_of(recording)
+    odometry = None if recording is None else recording.path
     if slam is not None and truth is not None:
         caption = (
             "SLAM's path should run along the middle of the wide pale band, which is the truth. "
@@ -152,16 +152,6 @@ def source_recording(stage: Stage, record: Stage | None) -> Recording | None:
         if recording is not None:
             return recording
     return None
-
-
-def odometry_of(recording: Recording | None) -> Trajectory | None:
-    """Odometry of a recording, at its full rate where there is one."""
-    if recording is None:
-        return None
-    if recording.odometry is not None:
-        return recording.odometry
-    poses = recording.T_odom_base
-    return None if poses is None else Trajectory(recording.stamps_ns, poses)
 
 
 def draw_run(stage: Stage, group: Group, album: Album) -> None:

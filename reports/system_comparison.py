@@ -171,7 +171,7 @@ def _draw(measured: Sequence[Measured], known: References, album: Album) -> None
                 f"Walls of both maps: grey where they agree to a cell, coloured where only {OURS} or only "
                 f"{name} has one."
             )
-            drawn = (ours, one.grid, name, number)
+            drawn = (ours, one.grid, (OURS, name), number)
             album.add(f"walls-{name.lower()}", f"Walls: {name}", caption, figures.walls, *drawn)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import matplotlib
@@ -12,19 +12,17 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures.style import (
     FINE_TO_BAD,
     GROUND,
     INK,
     LINES,
-    MUTED,
     PAPER,
     SERIES,
     WIDTH_IN,
@@ -161,28 +159,6 @@ def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     axes.plot(first.x[-1], first.y[-1], "o", color=INK, markersize=6, zorder=5)
     figure.legend(loc="outside lower center", ncol=3, fontsize=8.5)
     figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(tracks) // 3))
-    return figure
-
-
-def walls_of_both(
-    layers: Sequence[tuple[OccupancyGrid, OccupancyGrid, str]],
-    agree: Callable[[Array, OccupancyGrid], NDArray[np.bool_]],
-    box: Box,
-    words: Sequence[tuple[str, str]],
-) -> Figure:
-    """Occupied cells of grids, the last on top, each in its colour but where they `agree` with the other.
-
-    `words` say what the colours mean.
-    """
-    figure, axes = map_figure(box)
-    for grid, other, colour in layers:
-        image = np.zeros((*grid.shape, 4))
-        cells = np.argwhere(occupied(grid))
-        agreed = agree(grid.center_of(cells), other)
-        for chosen, shade in ((cells[agreed], MUTED), (cells[~agreed], colour)):
-            image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
-        show_image(axes, image, grid)
-    legend_above(axes, [Patch(color=colour, label=word) for colour, word in words])
     return figure
 
 

@@ -5,18 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from matplotlib.patches import Patch
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.rivals import gaps
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
-from turtlebag.reports.figures.maps import draw_path, faint_map, legend_above, view_box, walls_of_both
+from turtlebag.reports.figures.maps import (
+    draw_path,
+    faint_map,
+    legend_above,
+    map_figure,
+    show_image,
+    view_box,
+)
 from turtlebag.reports.figures.series import error_axis, stacked
 from turtlebag.reports.figures.style import INK, MUTED, ODOMETRY, SLAM
 from turtlebag.reports.metrics.evo import Paired
-from turtlebag.reports.metrics.map import nearest_m, occupied
+from turtlebag.reports.metrics.map import occupied, walls_in
 from turtlebag.reports.metrics.trajectory import fit_rigid
 
 COLOURS = (SLAM, ODOMETRY, "#009e73", "#8a7f1f", "#56b4e9", INK)
@@ -56,17 +64,19 @@ def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], la
     return figure
 
 
-def walls(ours: OccupancyGrid, rival: OccupancyGrid, name: str, number: int) -> Figure:
-    """Occupied cells of both: grey where the other has one within a cell, else in the system's colour
-    (the rival's by its number)."""
-    reach = 1.5 * max(ours.resolution, rival.resolution)
-
-    def agree(points: Array, other: OccupancyGrid) -> NDArray[np.bool_]:
-        return nearest_m(points, other.center_of(np.argwhere(occupied(other)))) < reach
-
-    layers = [(rival, ours, _colour(number)), (ours, rival, _colour(0))]
-    words = (MUTED, "both"), (_colour(0), "only TurtleBag"), (_colour(number), f"only {name}")
-    return walls_of_both(layers, agree, view_box(ours), words)
+def walls(a: OccupancyGrid, b: OccupancyGrid, names: tuple[str, str], number: int = 1) -> Figure:
+    """Occupied cells of both: grey where the other has one within a cell, else in the system's colour; that
+    of the second by its number."""
+    figure, axes = map_figure(view_box(a))
+    for grid, other, colour in ((b, a, _colour(number)), (a, b, _colour(0))):
+        image = np.zeros((*grid.shape, 4))
+        cells, shared = np.argwhere(occupied(grid)), walls_in(grid, other)
+        for chosen, shade in ((cells[shared], MUTED), (cells[~shared], colour)):
+            image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
+        show_image(axes, image, grid)
+    words = ("both", MUTED), (f"only {names[0]}", _colour(0)), (f"only {names[1]}", _colour(number))
+    legend_above(axes, [Patch(color=colour, label=word) for word, colour in words])
+    return figure
 
 
 def _broken(stamps_ns: Stamps, values: Array) -> Array:

@@ -70,6 +70,12 @@ def nearest_m(points: Array, targets: Array) -> Array:
     return np.asarray(scipy.spatial.cKDTree(targets).query(points)[0], dtype=np.float64)
 
 
+def walls_in(grid: OccupancyGrid, other: OccupancyGrid) -> NDArray[np.bool_]:
+    """Which occupied cells of a grid, (n,) in their order, have one of another within a cell."""
+    xy, walls = (one.center_of(np.argwhere(occupied(one))) for one in (grid, other))
+    return nearest_m(xy, walls) < 1.5 * max(grid.resolution, other.resolution)
+
+
 class WallErrors(TypedDict):
     """Centres of mapped occupied cells to the nearest visible surface cell's [m]; None without any."""
 

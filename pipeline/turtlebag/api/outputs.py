@@ -87,7 +87,12 @@ class Output:
         return type(self).__name__
 
     def _facts(self) -> dict[str, str]:
-        return {}
+        """The numbers to go by, as a report shows them."""
+        from turtlebag.reports.content import stage_metrics
+        from turtlebag.reports.numbers import numbers_of
+
+        found = [] if self.stage is None else numbers_of(self.stage, stage_metrics(self.stage), "")
+        return {number.spec.label: number.text for number in found if number.spec.trusted}
 
     def _picture(self) -> str:
         from turtlebag.api.pictures import picture_of
@@ -149,12 +154,7 @@ class Bag(Output):
     @property
     def odometry(self) -> Trajectory | None:
         """Poses of the base by the wheels, as often as the recording has them; None without odometry."""
-        recording = self.recording
-        if recording.odometry is not None:
-            return Trajectory.of(recording.odometry, "odom")
-        if recording.T_odom_base is None:
-            return None
-        return Trajectory(recording.stamps_ns, recording.T_odom_base, "odom")
+        return optional(self.recording.path, "odom")
 
     @property
     def truth(self) -> Trajectory | None:
@@ -176,10 +176,6 @@ class Bag(Output):
 
     def _title(self) -> str:
         return "Recording" if self.world is None else f"Recording of {self.robot} in {self.world}"
-
-    def _facts(self) -> dict[str, str]:
-        lidar = self.recording.lidar
-        return {"lidar": f"{lidar.n_beams} beams, {lidar.range_min:g} to {lidar.range_max:g} m"}
 
     def _picture(self) -> str:
         from turtlebag.api.pictures import path_picture
@@ -258,18 +254,6 @@ class Map(Output):
 
     def _title(self) -> str:
         return "Map" if self.world is None else f"Map of {self.world}"
-
-    def _facts(self) -> dict[str, str]:
-        rows, columns = self.occupancy.shape
-        size = f"{columns * self.resolution:.1f} x {rows * self.resolution:.1f} m"
-        facts = {"size": f"{size}, cells of {100 * self.resolution:g} cm"}
-        if "loops" in self.metrics:
-            loops = self.metrics["loops"]
-            facts["graph"] = (
-                f"{self.metrics['keyframes']} key scans of {self.metrics['scans']}, {loops['accepted']} of "
-                f"{loops['proposed']} loops accepted"
-            )
-        return facts
 
     def _picture(self) -> str:
         from turtlebag.api.pictures import svg_of

@@ -14,7 +14,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import Array
 from turtlebag.reports.content import stage_metrics, verdict
-from turtlebag.reports.numbers import leaves, shown
+from turtlebag.reports.numbers import leaves
 from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest, read_path
 from turtlebag.reports.system_comparison import SystemComparison, SystemsMetrics
 
@@ -76,15 +76,6 @@ class Run(Output):
     def _title(self) -> str:
         return f"{str(self.stage.fact('task')).capitalize()} of {self.stage.fact('robot')}"
 
-    def _facts(self) -> dict[str, str]:
-        found = self.metrics
-        error = found.get("localisation_error_m")
-        return {
-            "drove": f"{shown(found.get('distance_m'), 'm')} in {shown(found.get('time_s'), 's')}",
-            **({"localised": f"{shown(error['rmse'], 'cm')} RMSE"} if error else {}),
-            "clearance": f"{shown(found.get('min_clearance_m'), 'cm')} at least",
-        }
-
 
 class Localisation(Output):
     """Where `localise` says a recorded robot was on a map."""
@@ -102,12 +93,6 @@ class Localisation(Output):
         """Poses of the base as known at each scan, (n, 3) in the map's frame; odometry if rejected."""
         assert self.stage.trajectory is not None
         return Trajectory.of(self.stage.trajectory)
-
-    def _facts(self) -> dict[str, str]:
-        found = self.metrics
-        if "agreement" not in found:
-            return {}
-        return {"scans": str(found["scans"]), "agreement": f"{found['agreement']:.0%} of the latest scans"}
 
 
 class Plan(Output):
