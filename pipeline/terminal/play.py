@@ -15,7 +15,7 @@ from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Stamps
+from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.pipeline.terminal.drawing import Canvas, Size
 
 _WIDEST_M = 12.0
@@ -40,53 +40,42 @@ class Player:
         self._commands = _commands_of(path)
         # Logs with stamps that go back keep their file order: time is the latest stamp so far.
         self._times = np.maximum.accumulate(recording.stamps_ns)
+        self._odometry = recording.odometry
+        if recording.odometry is None and recording.T_odom_base is not None:
+            stamps, first = np.unique(self._times, return_index=True)
+            self._odometry = Trajectory(stamps, recording.T_odom_base[first])
         self.start_ns, self.end_ns = int(self._times[0]), int(self._times[-1])
         self._height_m = 2.0 * min(recording.lidar.range_max, _WIDEST_M)
 
     def frame(self, stamp_ns: int) -> Frame:
         """The picture at a stamp."""
         index = max(int(np.searchsorted(self._times, stamp_ns, side="right")) - 1, 0)
-        pose, scan = self._pose(stamp_ns, index), self.recording.scan(index)
-        scan_pose = (
-            SE2.identity() if self.recording.T_odom_base is None else self.recording.T_odom_base[index]
-        )
+        pose, scan = self._pose(stamp_ns), self.recording.scan(index)
         x, y, yaw = pose.xyt.tolist()
         canvas = Canvas(*self._size, (x, y), self._height_m)
+        scan_pose = self._pose(int(self._times[index]))
         canvas.dots(scan_pose @ (self.recording.T_base_lidar @ scan.points_lidar()))
-        canvas.dots(self._path(index))
+        if self.recording.T_odom_base is not None:
+            canvas.dots(self.recording.T_odom_base.xy[: index + 1])
         canvas.robot(x, y, yaw)
         seconds = (stamp_ns - self.start_ns) * 1e-9
         facts = [f"{seconds:8.2f} s of {(self.end_ns - self.start_ns) * 1e-9:.2f}"]
-        if self.recording.T_odom_base is not None:
-            v, w = self._speed(stamp_ns, index)
+        if self._odometry is not None:
+            v, w = self._speed(stamp_ns)
             facts.append(f"odom x {x:+.2f} y {y:+.2f} yaw {math.degrees(yaw):+4.0f} deg")
             facts.append(f"v {v:+.2f} m/s w {w:+.2f} rad/s")
         facts += [*self._command(stamp_ns), f"nearest {_nearest(scan.ranges):.2f} m"]
         return Frame(seconds, "  ".join(facts), canvas.text())
 
-    def _pose(self, stamp_ns: int, index: int) -> SE2:
-        recording = self.recording
-        if recording.odometry is not None:
-            return recording.odometry.at(np.array([stamp_ns]))[0]
-        return SE2.identity() if recording.T_odom_base is None else recording.T_odom_base[index]
+    def _pose(self, stamp_ns: int) -> SE2:
+        """By the odometry; the origin without any."""
+        return SE2.identity() if self._odometry is None else self._odometry.at(np.array([stamp_ns]))[0]
 
-    def _path(self, index: int) -> Array:
-        poses = self.recording.T_odom_base
-        return np.zeros((0, 2)) if poses is None else poses.xy[: index + 1]
-
-    def _speed(self, stamp_ns: int, index: int) -> tuple[float, float]:
+    def _speed(self, stamp_ns: int) -> tuple[float, float]:
         """Forward and yaw speed by the odometry of the last moments."""
-        recording = self.recording
-        if recording.odometry is not None:
-            a = recording.odometry.at(np.array([stamp_ns - _SPEED_WINDOW_NS]))[0]
-            b, seconds = self._pose(stamp_ns, index), _SPEED_WINDOW_NS * 1e-9
-        elif recording.T_odom_base is not None and index > 0:
-            a, b = recording.T_odom_base[index - 1], recording.T_odom_base[index]
-            seconds = float(self._times[index] - self._times[index - 1]) * 1e-9
-        else:
-            return 0.0, 0.0
-        dx, _, turn = (a.inverse() @ b).xyt.tolist()
-        return (dx / seconds, turn / seconds) if seconds > 0.0 else (0.0, 0.0)
+        step = self._pose(stamp_ns - _SPEED_WINDOW_NS).inverse() @ self._pose(stamp_ns)
+        dx, _, turn = (step.xyt / (_SPEED_WINDOW_NS * 1e-9)).tolist()
+        return dx, turn
 
     def _command(self, stamp_ns: int) -> list[str]:
         if self._commands is None:
