@@ -20,7 +20,6 @@ from turtlebag.reports.numbers import (
     counted,
     files_of,
     lookup,
-    numbers_of,
     other_values,
     sections_of,
     shown,
@@ -49,7 +48,7 @@ class Part:
     about: str
     verdict: tuple[str, str]
     metrics: Mapping[str, Any]
-    numbers: list[Number]
+    sections: list[tuple[Section, list[Number]]]
     others: list[tuple[str, str]]
     pictures: list[Picture]
     goals: list[Mapping[str, Any]]
@@ -70,9 +69,9 @@ class Part:
         return ", ".join(told) or "details"
 
     @property
-    def sections(self) -> list[tuple[Section, list[Number]]]:
-        """The numbers under their headings."""
-        return sections_of(self.stage, self.numbers)
+    def numbers(self) -> list[Number]:
+        """The numbers of all sections."""
+        return [number for _, numbers in self.sections for number in numbers]
 
     def picture_files(self, picture: Picture) -> list[tuple[str, str]]:
         """Files a picture was drawn from, with their sha256."""
@@ -119,7 +118,7 @@ def build_chapter(
                 _about(stage, group),
                 verdict(stage, metrics, odometry_error(chapter, group.record_of(stage))),
                 metrics,
-                numbers_of(stage, metrics, group.name),
+                sections_of(stage, metrics, group.name),
                 other_values(stage, metrics),
                 draw(stage, group, album),
                 goal_rows(metrics),

@@ -114,24 +114,19 @@ def lookup(metrics: Mapping[str, object], path: str) -> Any:
     return node
 
 
-def numbers_of(stage: Stage, metrics: Mapping[str, Any], prefix: str) -> list[Number]:
-    """The known numbers of a stage that its metrics hold, in reading order."""
+def sections_of(stage: Stage, metrics: Mapping[str, Any], prefix: str) -> list[tuple[Section, list[Number]]]:
+    """The known numbers of a stage that its metrics hold, in reading order under their headings."""
     found = []
-    for spec in SPECS[stage.kind]:
-        value = lookup(metrics, spec.path)
-        if value is not None and not isinstance(value, Mapping) and not (spec.seldom and not value):
-            found.append(Number(f"{prefix}/{stage.label}:{spec.path}", spec, value, stage))
+    for section in SECTIONS[stage.kind]:
+        told = [(spec, lookup(metrics, spec.path)) for spec in section.specs]
+        numbers = [
+            Number(f"{prefix}/{stage.label}:{spec.path}", spec, value, stage)
+            for spec, value in told
+            if value is not None and not isinstance(value, Mapping) and not (spec.seldom and not value)
+        ]
+        if numbers:
+            found.append((section, numbers))
     return found
-
-
-def sections_of(stage: Stage, numbers: Sequence[Number]) -> list[tuple[Section, list[Number]]]:
-    """The numbers under their headings; headings without any left out."""
-    by_path = {number.spec.path: number for number in numbers}
-    found = [
-        (section, [by_path[spec.path] for spec in section.specs if spec.path in by_path])
-        for section in SECTIONS[stage.kind]
-    ]
-    return [(section, under) for section, under in found if under]
 
 
 def other_values(stage: Stage, metrics: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -9,18 +9,14 @@ from importlib.resources import files
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from turtlebag.reports.compare import Comparison
 from turtlebag.reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
 from turtlebag.reports.figures import style
-from turtlebag.reports.figures.album import Picture
 from turtlebag.reports.glossary import WORDS, explained
-from turtlebag.reports.index import Line, used_columns
 from turtlebag.reports.metric_specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
 from turtlebag.reports.metrics.navigation import truly_reached
 from turtlebag.reports.numbers import counted, lookup, shown
 from turtlebag.reports.provenance import packages, recipe
 from turtlebag.reports.stages import Group
-from turtlebag.reports.system_comparison import SystemComparison
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
 THEMED = {
@@ -64,32 +60,6 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         shown=shown,
         good_walls=GOOD_WALLS,
     )
-
-
-def render_comparison(name_a: str, name_b: str, found: Comparison, pictures: Sequence[Picture]) -> str:
-    """The page of a comparison as HTML text."""
-    moods = [row.mood for row in found.rows]
-    return fill(
-        "compare.html.j2",
-        name_a=name_a,
-        name_b=name_b,
-        found=found,
-        pictures=pictures,
-        better=counted(moods.count(GOOD), "number"),
-        worse=moods.count(BAD),
-    )
-
-
-def render_systems(recording: str, found: SystemComparison) -> str:
-    """The page of several systems on one recording as HTML text."""
-    return fill("rivals.html.j2", recording=recording, found=found)
-
-
-def render_index(lines: Sequence[Line]) -> str:
-    """The page of many outputs as HTML text."""
-    moods = [line.mood for line in lines]
-    good, bad = moods.count(GOOD), moods.count(BAD)
-    return fill("index.html.j2", lines=lines, columns=used_columns(lines), good=good, bad=bad)
 
 
 def fill(template: str, **values: object) -> str:

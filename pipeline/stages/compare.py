@@ -9,8 +9,10 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured, ours_of
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
+from turtlebag.reports.content import BAD, GOOD
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.page import render_comparison, render_systems
+from turtlebag.reports.numbers import counted
+from turtlebag.reports.page import fill
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
 
@@ -24,11 +26,14 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
     found = compare(*stages)
     if out is None:
         return found
-    names = f"A: {a.resolve().name}", f"B: {b.resolve().name}"
+    names = {"name_a": f"A: {a.resolve().name}", "name_b": f"B: {b.resolve().name}"}
+    moods = [row.mood for row in found.rows]
+    told = {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
     with out.staged() as folder:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)
-        (folder / "index.html").write_text(render_comparison(*names, found, album.pictures))
+        page = fill("compare.html.j2", **names, found=found, pictures=album.pictures, **told)
+        (folder / "index.html").write_text(page)
         metrics = {row.path: row.values for row in found.rows}
         out.finish(folder, "compare", {"A": a, "B": b}, metrics=metrics)
     return found
@@ -45,7 +50,8 @@ def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None
         return compare_systems(systems, known, Album(None), "rivals")
     with out.staged() as partial:
         found = compare_systems(systems, known, Album(partial / "figures"), "rivals")
-        (partial / "index.html").write_text(render_systems(stage.folder.resolve().name, found))
+        page = fill("rivals.html.j2", recording=stage.folder.resolve().name, found=found)
+        (partial / "index.html").write_text(page)
         write_pairs(systems, partial / "rivals")
         out.finish(partial, "compare", {"ours": folder, **inputs_of(files)}, metrics=found.metrics)
     return found

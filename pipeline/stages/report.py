@@ -12,13 +12,13 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, remembered
 from turtlebag.pipeline.terminal.messages import drawing
-from turtlebag.reports.content import build_chapter
+from turtlebag.reports.content import BAD, GOOD, build_chapter
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
-from turtlebag.reports.index import index_lines, shown_outputs
+from turtlebag.reports.index import index_lines, shown_outputs, used_columns
 from turtlebag.reports.layout import viewer_layouts
 from turtlebag.reports.metrics.references import NO_REFERENCES
-from turtlebag.reports.page import render, render_index
+from turtlebag.reports.page import fill, render
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import compare_systems, write_pairs
 from turtlebag.reports.tables import write_tables
@@ -72,7 +72,10 @@ def make_index(roots: Sequence[Path], out: Output) -> Path:
     if not outputs:
         places = ", ".join(str(root) for root in roots)
         raise InputError(f"{places}: no finished outputs in it; give the folder that holds them")
+    lines = index_lines(outputs)
+    moods = [line.mood for line in lines]
+    told = {"columns": used_columns(lines), "good": moods.count(GOOD), "bad": moods.count(BAD)}
     with out.staged(outputs) as partial:
-        (partial / "index.html").write_text(render_index(index_lines(outputs)))
+        (partial / "index.html").write_text(fill("index.html.j2", lines=lines, **told))
         out.finish(partial, "index", {})
     return out.folder / "index.html"

@@ -81,9 +81,9 @@ def styled() -> Iterator[None]:
         yield
 
 
-def new_figure(height_in: float, *, width_in: float = WIDTH_IN) -> Figure:
+def new_figure(height_in: float) -> Figure:
     """An empty figure on the Agg canvas, laid out when drawn."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 

@@ -20,7 +20,7 @@ from turtlebag.reports.content import collision_count, verdict
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.metric_specs import SECTIONS
-from turtlebag.reports.numbers import numbers_of, shown
+from turtlebag.reports.numbers import sections_of, shown
 from turtlebag.reports.provenance import FLAGS, TAKE_A_PATH, recipe, rename
 from turtlebag.reports.stages import Group, Manifest, Stage, changed_files, load_stage
 
@@ -276,7 +276,7 @@ def test_an_error_names_the_truth_it_was_measured_against():
         "inputs": {"truth": {"path": "rec/truth", "sha256": {"trajectory.tum": "cc"}}},
     }
     stage = Stage(Path("x"), "map", "map", Manifest.model_validate(manifest))
-    (number,) = numbers_of(stage, {"ate_m": {"rmse": 0.01}}, "room")
+    ((_, [number]),) = sections_of(stage, {"ate_m": {"rmse": 0.01}}, "room")
     assert number.key == "room/map:ate_m.rmse"
     assert number.evidence() == {"trajectory.tum": "aa", "truth: trajectory.tum": "cc"}
 

@@ -89,10 +89,10 @@ class Output:
     def _facts(self) -> dict[str, str]:
         """The numbers to go by, as a report shows them."""
         from turtlebag.reports.content import stage_metrics
-        from turtlebag.reports.numbers import numbers_of
+        from turtlebag.reports.numbers import sections_of
 
-        found = [] if self.stage is None else numbers_of(self.stage, stage_metrics(self.stage), "")
-        return {number.spec.label: number.text for number in found if number.spec.trusted}
+        found = [] if self.stage is None else sections_of(self.stage, stage_metrics(self.stage), "")
+        return {one.spec.label: one.text for _, numbers in found for one in numbers if one.spec.trusted}
 
     def _picture(self) -> str:
         from turtlebag.api.pictures import picture_of
