@@ -1,5 +1,11 @@
 """The one exception a user is meant to see."""
 
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+Given = ParamSpec("Given")
+Found = TypeVar("Found")
+
 
 class InputError(Exception):
     """Bad input or usage: one line that says what is wrong, where, and what to do.
@@ -7,3 +13,11 @@ class InputError(Exception):
     The command line prints the message to stderr and exits with code 2; library
     callers may catch it. Its text must not contain a newline.
     """
+
+
+def if_there(read: Callable[Given, Found], *given: Given.args, **named: Given.kwargs) -> Found | None:
+    """What is read; None where that is an InputError, for what need not be there."""
+    try:
+        return read(*given, **named)
+    except InputError:
+        return None

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from turtlebag.datasets.bags.reader import read_particles
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import if_there
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.recordings import load_recording
@@ -107,14 +105,6 @@ def _add_mapping_animation(
     album.add_animation("animation", "Animation of the map", caption, draw)
 
 
-def read_again(folder: Path) -> Recording | None:
-    """A stage's own recording, None when it holds no scans."""
-    try:
-        return load_recording(folder)
-    except InputError:
-        return None
-
-
 def _add_graph(stage: Stage, grid: OccupancyGrid | None, album: Album) -> None:
     graph = read_g2o(stage.folder / "graph.g2o")
     record = read_loops(stage.folder / "graph.json")
@@ -148,7 +138,7 @@ def _add_errors(album: Album, slam: Trajectory, odometry: Trajectory | None, tru
 def source_recording(stage: Stage, record: Stage | None) -> Recording | None:
     """What a map was made from: its record, or the log itself while that is still there."""
     for folder in [record.folder] if record is not None else stage.input_paths().values():
-        recording = read_again(folder)
+        recording = if_there(load_recording, folder)
         if recording is not None:
             return recording
     return None
@@ -228,7 +218,7 @@ def _add_run_animation(
 
     def draw() -> bytes:
         scans_at = estimate if estimate is not None else stage.truth
-        recording = read_again(stage.folder)
+        recording = if_there(load_recording, stage.folder)
         return animation.gif(animation.run(world, truth, log.goal_index, goals, recording, scans_at))
 
     caption = (
@@ -246,7 +236,7 @@ def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
 
 
 def _add_particles(stage: Stage, world: OccupancyGrid | None, truth: Trajectory, album: Album) -> None:
-    clouds = particle_clouds(stage.folder / "bag")
+    clouds = if_there(lambda: list(read_particles(stage.folder / "bag")))
     if not clouds:
         return
     start = int(truth.stamps_ns[0])
@@ -258,14 +248,6 @@ def _add_particles(stage: Stage, world: OccupancyGrid | None, truth: Trajectory,
         "should converge and stay around the arrow. More panels are from the start of the run."
     )
     album.add("particles", "Particles", caption, particles, world, snapshots, truth)
-
-
-def particle_clouds(bag: Path) -> list[tuple[int, SE2]]:
-    """(stamp, poses) of /particlecloud; empty when the bag has none."""
-    try:
-        return list(read_particles(bag))
-    except InputError:
-        return []
 
 
 def goal_ends(log: RunLog) -> list[float]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.bags.reader import bag_info, read_poses
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import InputError, if_there
 from turtlebag.datasets.relations import load_relations
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2, wrap
@@ -134,10 +134,7 @@ def _run(stage: Stage, places: Mapping[str, str]) -> Mapping[str, object]:
 
 def robot_of(stage: Stage) -> RobotSpec | None:
     """The robot of a stage; None where it is not known here."""
-    try:
-        return load_robot(stage.option("robot") or stage.fact("robot") or "")
-    except InputError:
-        return None
+    return if_there(load_robot, stage.option("robot") or stage.fact("robot") or "")
 
 
 def _floor(stage: Stage) -> Floor | None:
@@ -153,7 +150,9 @@ class _Goals:
 
     def __init__(self, stage: Stage, log: RunLog, places: Mapping[str, str]) -> None:
         self.reported: Sequence[Mapping[str, Any]] = stage.metrics.get("goals") or []
-        self._log, self._sent, self._asked = log, _goal_poses(stage), _asked(stage, places)
+        self._log, self._asked = log, _asked(stage, places)
+        sent = if_there(read_poses, stage.folder / "bag", "/goal_pose")
+        self._sent = SE2.identity(0) if sent is None else sent.poses
         states = zip(log.goal_index.tolist(), log.state, strict=True)
         self._reached = {number for number, state in states if state == "reached"}
         self._pursued = set(log.goal_index.tolist())
@@ -191,14 +190,6 @@ class _Goals:
         nearest = self._sent[int(np.argmin(distances + yaw_difference(self._sent.yaw, wanted.yaw)))]
         # A yaw may be written beyond half a turn.
         return float(nearest.x), float(nearest.y), yaw + float(wrap(nearest.yaw - yaw))
-
-
-def _goal_poses(stage: Stage) -> SE2:
-    """Goals published on /goal_pose, (n,)."""
-    try:
-        return read_poses(stage.folder / "bag", "/goal_pose").poses
-    except InputError:
-        return SE2.identity(0)
 
 
 def _asked(stage: Stage, places: Mapping[str, str]) -> Sequence[Pose]:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.reader import read_commands
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import InputError, if_there
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Stamps, Trajectory
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.terminal.drawing import Canvas, Size
 
 _WIDEST_M = 12.0
@@ -37,7 +37,7 @@ class Player:
     def __init__(self, path: Path, size: Size = (78, 21)) -> None:
         self._size = size
         self.recording = recording = load_recording(path)
-        self._commands = _commands_of(path)
+        self._commands = if_there(read_commands, path)
         # Logs with stamps that go back keep their file order: time is the latest stamp so far.
         self._times = np.maximum.accumulate(recording.stamps_ns)
         self._odometry = recording.odometry
@@ -83,13 +83,6 @@ class Player:
         stamps, v, w = self._commands
         index = int(np.searchsorted(stamps, stamp_ns, side="right")) - 1
         return [f"cmd {v[index]:+.2f} {w[index]:+.2f}"] if index >= 0 else []
-
-
-def _commands_of(path: Path) -> tuple[Stamps, Array, Array] | None:
-    try:
-        return read_commands(path)
-    except InputError:
-        return None
 
 
 def _nearest(ranges: NDArray[np.float32]) -> float:
