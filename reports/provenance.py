@@ -39,7 +39,7 @@ def recipe(groups: Sequence[Group]) -> list[Step]:
 
 
 def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
-    words = [word for word in renamed(stage.manifest.command, names) if word != "--force"]
+    words = [word for word in renamed(stage.command, names) if word != "--force"]
     inputs = [
         (f"{name}: {path}" if path != name else name, digest)
         for name, entry in stage.manifest.inputs.items()

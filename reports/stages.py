@@ -69,6 +69,11 @@ class Stage:
     title: str = ""
 
     @property
+    def command(self) -> list[str]:
+        """The command line that made it."""
+        return self.manifest.command
+
+    @property
     def seed(self) -> int | None:
         """Its seed, where it had one."""
         return self.manifest.seed
@@ -84,7 +89,7 @@ class Stage:
 
     def options(self, name: str) -> list[str]:
         """Every value of `--name` in its command line."""
-        words = self.manifest.command
+        words = self.command
         return [
             following if word == f"--{name}" else word.partition("=")[2]
             for word, following in zip(words, [*words, ""][1:], strict=True)

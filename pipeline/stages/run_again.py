@@ -38,7 +38,7 @@ def places_of(groups: Sequence[Group]) -> dict[str, str]:
 
 def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
     """Run a stage again; None when it cannot be: another kind, or what it read is gone or not the same."""
-    if stage.kind not in AGAIN or len(stage.manifest.command) < 2 or not stage.has("config.yaml"):
+    if stage.kind not in AGAIN or len(stage.command) < 2 or not stage.has("config.yaml"):
         return None
     log.debug("running %s again", stage.folder)
     with tempfile.TemporaryDirectory() as folder:
@@ -54,7 +54,7 @@ def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
 def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:
     """The recorded command with its settings from the stage's own config.yaml, writing to `out`."""
     words = []
-    following = iter(renamed(stage.manifest.command, places)[1:])
+    following = iter(renamed(stage.command, places)[1:])
     for word in following:
         option, equals, _ = word.partition("=")
         if option in ("--out", "--config", "--set"):

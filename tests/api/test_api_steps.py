@@ -72,10 +72,10 @@ def test_the_functions_make_the_bytes_of_the_commands(chain, made, tmp_path, cap
     for output, name in ((bag, "record"), (m, "map"), (run, "run"), (plan, "plan")):
         assert sha256_tree(output.path) == sha256_tree(chain / name)
     for output in (bag, m, run, plan, found):
-        words = output.stage.manifest.command
+        words = output.stage.command
         args = build_parser(words[1]).parse_args(joined(words[1:]))
         assert args.out == output.path
-    assert main([*joined(found.stage.manifest.command[1:]), "--force", "--out", str(tmp_path / "again")]) == 0
+    assert main([*joined(found.stage.command[1:]), "--force", "--out", str(tmp_path / "again")]) == 0
     assert sha256_tree(found.path) == sha256_tree(tmp_path / "again")
 
 
