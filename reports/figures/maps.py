@@ -131,7 +131,8 @@ def plain_map(grid: OccupancyGrid, paths: Mapping[str, Trajectory | None]) -> Fi
     draw_grid(axes, grid)
     for kind, trajectory in paths.items():
         draw_path(axes, trajectory, kind)
-    legend_above(axes)
+    if axes.get_lines():
+        legend_above(axes)
     return figure
 
 
