@@ -37,7 +37,7 @@ ROUTE += [(14.7, 7.0), (27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0), (16.0
 def office(*lies: Lie, person: bool = False) -> Known:
     """Round the office once into two rooms, 70 m and 120 s, on wheels that drift by metres."""
     return make_log(
-        "hostile", office_plan(1), np.array(ROUTE), Sensor(sick(180, 30.0), 0.3), drive=Drive(v=0.7),
+        "hostile", office_plan(1), np.array(ROUTE), Sensor(sick(180, 30.0), 0.4), drive=Drive(v=0.7),
         wheels=WHEELS, lies=lies, person=person,
     )  # fmt: skip
 
