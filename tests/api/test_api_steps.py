@@ -278,6 +278,7 @@ def test_a_table_goes_to_pandas_and_arrow_where_they_are(monkeypatch):
     assert table.to_arrow().column_names == ["a", "word"]
 
 
+@pytest.mark.slow
 def test_verbose_shows_what_the_commands_say(chain, capfd):
     tb.verbose()
     try:

@@ -223,12 +223,14 @@ def test_log_without_a_single_surface_follows_the_odometry(value):
     assert not result.check.good
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_wheels_that_suddenly_count_backwards_are_outvoted_by_what_the_scans_see(seed):
     # they do so from the 100th scan on
     assert worst_tracked(made_office(seed, "reverse").with_scans(slice(0, 200))) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_wheels_that_jump_out_of_what_was_seen_are_outvoted_by_what_is_seen_again(seed):
     # they do so at the 750th scan

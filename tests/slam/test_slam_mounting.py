@@ -38,6 +38,7 @@ def test_a_laser_said_to_face_elsewhere_is_turned_back(log, degrees):
     assert f"the laser's yaw is {degrees:.0f} degrees from the recorded mounting" in mended.notes[-1]
 
 
+@pytest.mark.slow
 def test_laser_turned_by_a_right_angle_makes_the_map_that_it_makes_unturned(log):
     wrong = said_turned(log, 90.0)
     turned, right = (run_slam(one.recording, SlamConfig()) for one in (wrong, log))

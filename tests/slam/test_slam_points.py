@@ -107,6 +107,7 @@ def test_a_jump_of_the_odometry_bends_no_sweep_however_little_of_it_lies_within(
     np.testing.assert_allclose(jumped[45:55, -1], true[45:55, -1], atol=0.02)
 
 
+@pytest.mark.slow
 def test_sweeps_are_undone_where_the_odometry_comes_with_the_scans_alone():
     log = arena(1, "fast").with_scans(slice(0, 220))
     alone = log.recorded(odometry=None)
@@ -115,6 +116,7 @@ def test_sweeps_are_undone_where_the_odometry_comes_with_the_scans_alone():
     assert np.percentile(np.abs(session.motion.xyt[1:-1] - true)[..., 2], 90) < 0.05
 
 
+@pytest.mark.slow
 def test_sweeps_are_undone_by_the_scans_where_the_wheels_are_not_believed():
     """Wheels that count backwards for ten seconds bent each of these sweeps by twice the motion: 7 cm."""
     log = arena(1, "fast").with_scans(slice(0, 220))
@@ -188,6 +190,7 @@ def test_wheels_that_were_not_believed_have_no_say_of_steps_that_scans_are_blind
     np.testing.assert_allclose([c.T_i_j[0] for c in told], [0.0, 0.0, 0.3, 0.3, 0.3], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_open3d_comes_without_the_packages_of_its_plots_until_one_is_drawn():
     code = """
 import sys

@@ -28,6 +28,7 @@ def learnt(log, errors):
     return calibrate_ranges(make_clouds(recording, usable), keys, log.truth.poses[keys], usable)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("errors", [ERRORS, RangeCalibration(-0.008, 0.003)])
 def test_an_error_of_all_ranges_is_learnt(errors):
     found = learnt(log_of(rooms), errors)
@@ -37,6 +38,7 @@ def test_an_error_of_all_ranges_is_learnt(errors):
     assert left < 0.35 * np.sqrt((errors.error(ranges) ** 2).mean())
 
 
+@pytest.mark.slow
 def test_turns_that_measure_longer_than_others_are_no_error_of_all():
     log, ranges, left = log_of(rooms), np.linspace(0.3, 3.5, 20), []
     for seed in range(3):
@@ -47,6 +49,7 @@ def test_turns_that_measure_longer_than_others_are_no_error_of_all():
     assert np.sqrt(np.mean(np.square(left))) < 0.004
 
 
+@pytest.mark.slow
 def test_a_lidar_that_measures_right_is_left_alone():
     assert learnt(log_of(rooms), RangeCalibration()) == RangeCalibration()
 
@@ -80,6 +83,7 @@ def test_points_and_lines_are_moved_as_if_made_of_the_right_ranges():
     assert np.median(np.abs(off)) < 2e-4
 
 
+@pytest.mark.slow
 def test_a_map_has_the_size_of_the_world_all_the_same():
     log = log_of(rooms).with_scans(slice(360))
     recording, worst = misread(log.recording, RangeCalibration(0.0, -0.004)), {}

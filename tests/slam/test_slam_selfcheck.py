@@ -125,6 +125,7 @@ def test_a_robot_that_jumps_is_told_unless_its_odometry_does(drive, shift, jumps
     assert reasons(drive, T_track_base=SE2(moved), borders=np.array([30])) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "told"), [(1.2, False), (2.0, True)])
 def test_a_robot_that_is_too_fast_for_two_seconds_is_told_though_no_step_is_a_jump(times, told):
     poses = around_the_room(500, laps=8)

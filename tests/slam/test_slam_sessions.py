@@ -41,6 +41,7 @@ def test_second_session_joins_the_first_map():
     assert both["rmse"] < 0.01
 
 
+@pytest.mark.slow
 def test_a_second_session_of_three_metres_joins():
     a = recording(ROOM, FIRST, odometry=drifted(FIRST))
     few = SECOND[:26]
@@ -57,6 +58,7 @@ def test_odometry_alone_does_not_tell_where_a_second_session_lies():
         run_slam(a, SlamConfig(sensors="odometry"), more=[b])
 
 
+@pytest.mark.slow
 def test_a_second_session_somewhere_else_joins_nothing():
     a = recording(ROOM, FIRST, odometry=drifted(FIRST))
     hall = rectangle(0, 0, 9, 4)
