@@ -67,13 +67,12 @@ def _pairs(true: SE2, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     ahead = np.searchsorted(path, path[a] + rng.uniform(0.2, 2.0, n))
     ok = ahead < len(path)
     near = np.stack([a[ok], ahead[ok]], axis=1)
-    tree = cKDTree(true.xy)
-    back = []
-    for i in a:
-        others = np.array(tree.query_ball_point(true.xy[i], NEAR_M))
-        others = others[np.abs(path[others] - path[i]) > RETURN_M]
-        if len(others):
-            back.append((i, rng.choice(others)))
+    places = np.unique(a)
+    found = cKDTree(true.xy).query_ball_point(true.xy[places], NEAR_M, return_sorted=False)
+    returns = {}
+    for i, others in zip(places, map(np.array, found), strict=True):
+        returns[i] = others[np.abs(path[others] - path[i]) > RETURN_M]
+    back = [(i, rng.choice(returns[i])) for i in a if len(returns[i])]
     return near, np.array(back, dtype=np.int64).reshape(-1, 2)
 
 
