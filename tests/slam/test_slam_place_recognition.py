@@ -34,7 +34,7 @@ def office() -> Known:
     first = [(9.0, 7.0), (10.1, 7.0), (10.1, 4.0), (10.4, 4.0), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5)]
     again = [(15.0, 10.5), (14.7, 7.0), *[(27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0)] * 2]
     return make_log(
-        "places", office_plan(1), np.array(first + again), Sensor(sick(180, 30.0), 0.3), drive=Drive(v=0.7),
+        "places", office_plan(1), np.array(first + again), Sensor(sick(180, 30.0), 0.4), drive=Drive(v=0.7),
         wheels=Wheels(0.02, -0.03, 0.003),
     )  # fmt: skip
 
@@ -54,7 +54,7 @@ def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Known:
     if there_and_back:
         route.append((2.0, 7.0))
     return make_log(
-        f"twins-{seed}", plan, np.array(route), Sensor(sick(180, 8.0), 0.3), drive=Drive(v=0.7),
+        f"twins-{seed}", plan, np.array(route), Sensor(sick(180, 8.0), 0.4), drive=Drive(v=0.7),
         wheels=WHEELS[seed], seed=seed,
     )  # fmt: skip
 

@@ -82,7 +82,7 @@ def test_what_cannot_be_replaced_is_refused(record, tmp_path, capsys):
 @pytest.fixture(scope="module")
 def room():
     """A log of two laps with noisy scans, and the true poses."""
-    poses = around_the_room(100, laps=2)
+    poses = around_the_room(70, laps=1.4)
     return recording(ROOM, poses, odometry=drifted(poses), noise=0.03), SE2.from_array(poses)
 
 
