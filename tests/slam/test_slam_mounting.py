@@ -40,6 +40,7 @@ def test_a_laser_said_to_face_elsewhere_is_turned_back(log, degrees):
 
 @pytest.mark.slow
 def test_laser_turned_by_a_right_angle_makes_the_map_that_it_makes_unturned(log):
+    log = log.with_scans(slice(0, 300))
     wrong = said_turned(log, 90.0)
     turned, right = (run_slam(one.recording, SlamConfig()) for one in (wrong, log))
     assert errors(turned.trajectory.poses, log.reference)["worst_m"] < 0.02

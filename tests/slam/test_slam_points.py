@@ -68,7 +68,7 @@ def test_point_information_is_that_of_its_residuals():
 @pytest.mark.slow
 def test_lidar_alone_undoes_its_own_turning():
     log = arena(1, "fast")
-    n = 250
+    n = 180
     part = replace(
         log.recording,
         stamps_ns=log.recording.stamps_ns[:n],
@@ -109,7 +109,7 @@ def test_a_jump_of_the_odometry_bends_no_sweep_however_little_of_it_lies_within(
 
 @pytest.mark.slow
 def test_sweeps_are_undone_where_the_odometry_comes_with_the_scans_alone():
-    log = arena(1, "fast").with_scans(slice(0, 220))
+    log = arena(1, "fast").with_scans(slice(0, 180))
     alone = log.recorded(odometry=None)
     session = run_slam(alone.recording, SlamConfig()).session
     true = sweep_motion(log.recorded(odometry=log.truth).recording).xyt[1:-1]
@@ -119,7 +119,7 @@ def test_sweeps_are_undone_where_the_odometry_comes_with_the_scans_alone():
 @pytest.mark.slow
 def test_sweeps_are_undone_by_the_scans_where_the_wheels_are_not_believed():
     """Wheels that count backwards for ten seconds bent each of these sweeps by twice the motion: 7 cm."""
-    log = arena(1, "fast").with_scans(slice(0, 220))
+    log = arena(1, "fast").with_scans(slice(0, 180))
     moved = log.odometry.steps()
     moved[80:130] *= -1.0
     wrong = log.with_steps(moved)
