@@ -98,6 +98,7 @@ def test_the_page_says_what_happened(tags):
     assert "timeout" in text
 
 
+@pytest.mark.slow
 def test_numbers_of_the_stages_are_in_metrics_json(page):
     metrics = json.loads((page.parent / "metrics.json").read_text())["room"]
     assert 0.003 < metrics["map"]["ate_m"]["rmse"] < 0.012
@@ -106,6 +107,7 @@ def test_numbers_of_the_stages_are_in_metrics_json(page):
     assert 0.05 < metrics["record"]["odometry_ate_m"]["rmse"] < 0.3
 
 
+@pytest.mark.slow
 def test_a_value_stands_with_the_unit_it_is_stored_in_or_none(page):
     text = page.read_text()
     assert re.search(r"<code>0\.0\d+</code> m at <code>ate_m\.rmse", text)
@@ -113,6 +115,7 @@ def test_a_value_stands_with_the_unit_it_is_stored_in_or_none(page):
     assert "<code>False</code> at <code>true_success" in text
 
 
+@pytest.mark.slow
 def test_the_recipe_names_outputs_by_stage_and_holds_no_path_of_this_machine(page, stages):
     text = page.read_text()
     assert str(stages[0].parent) not in text
@@ -291,6 +294,7 @@ def test_words_are_linked_once_to_their_meaning_and_the_text_stays_escaped():
     assert explained("slammed <looping>") == "slammed &lt;looping&gt;"
 
 
+@pytest.mark.slow
 def test_every_word_that_is_linked_is_explained_at_the_end(page):
     text = page.read_text()
     linked = set(re.findall(r'href="#(word-[^"]*)"', text))
@@ -305,6 +309,7 @@ def test_of_the_walls_two_numbers_are_the_ones_to_trust():
     assert all(sum(spec.trusted for spec in s.specs) <= 2 for found in SECTIONS.values() for s in found)
 
 
+@pytest.mark.slow
 def test_the_numbers_come_before_the_details_headline_tiles_verdicts(page):
     text = page.read_text()
     order = [text.index(mark) for mark in ("<h1", 'class="tiles"', 'class="verdicts"', "<nav", "<main")]

@@ -14,9 +14,13 @@ from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.planners.tasks.waypoints import load_waypoints
 
-pytestmark = pytest.mark.skipif(
-    find_browser() is None, reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        find_browser() is None,
+        reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM",
+    ),
+]
 
 OVERFLOW = """[...document.querySelectorAll("body *")].filter((element) => {
   const box = element.getBoundingClientRect();
@@ -72,7 +76,6 @@ def browser(tmp_path_factory):
         yield browser
 
 
-@pytest.mark.slow
 def test_tables_of_four_systems_are_not_cut(browser, address, tmp_path):
     base = Path(urlsplit(address).path).parents[1]
     names = ("cartographer", "slam_toolbox", "kiss_icp")
