@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.rows import Row, as_they_come, options, write
-from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room
+from benchmarks.slam3d_drives import Drive3d, changed, make_drive
 from benchmarks.slam_cases import picture
 from benchmarks.slam_parts import VARIANTS
 from turtlebag.datasets import se3
@@ -102,11 +102,11 @@ def main() -> None:
     """Print and write the tables."""
     args = options(__doc__, "data/benchmarks/slam3d", "the made room only").parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    around = make_drive(room(), ROUND, v=0.6, w=1.2)
+    around = make_drive("room", v=0.6, w=1.2)
     timed(changed(around, lambda k, cloud: cloud if k < 20 else None).recording, {})
     drives = {"room": around}
     if not args.quick:
-        drives["corridors"] = make_drive(*corridors(), v=0.6, w=1.2)
+        drives["corridors"] = make_drive("corridors", v=0.6, w=1.2)
         write(args.out, "worlds", as_they_come(worlds(args.out, WORLDS)))
     write(args.out, "worth", as_they_come(worth(drives)))
 

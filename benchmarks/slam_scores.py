@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks.rows import Row
-from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.relations import Relations
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
-from turtlebag.reports.metrics.trajectory import fit_rigid
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.metrics.relations import relation_errors
+from turtlebag.reports.metrics.trajectory import PosePairs, summary
 
 PAIRS = 2000
 NEAR_M = 2.5
@@ -28,29 +30,24 @@ def errors(estimate: SE2, reference: SE2) -> Row:
     """
     sure = np.isfinite(reference.xyt).all(axis=1)
     estimate, true = estimate[sure], reference[sure]
-    fit = fit_rigid(estimate.xy, true.xy)
-    fitted = fit @ estimate.xy
-    aligned = np.linalg.norm(fitted - true.xy, axis=1)
-    scale, scaled = _scaled(fitted, true.xy)
-    moved = true[0] @ estimate[0].inverse() @ estimate
-    anchored = np.linalg.norm(moved.xy - true.xy, axis=1)
-    near, back = (_relation_error(estimate, true, pairs) for pairs in _pairs(true, PAIRS))
+    number = np.arange(len(true))
+    fitted = PosePairs(number, estimate, true).aligned()
+    anchored = PosePairs(number, true[0] @ estimate[0].inverse() @ estimate, true)
+    fit, first = summary(fitted.position_errors()), summary(anchored.position_errors())
+    scale, scaled = _scaled(fitted.T_map_base.xy, true.xy)
+    near, back = (_relation_errors(estimate, true, pairs) for pairs in _pairs(true, PAIRS))
     return {
-        "m": _rms(aligned),
-        "deg": float(np.degrees(_rms(wrap((fit @ estimate).yaw - true.yaw)))),
-        "worst_m": float(aligned.max()),
-        "scaled_m": _rms(scaled),
+        "m": fit["rmse"],
+        "deg": float(np.degrees(summary(fitted.yaw_errors())["rmse"])),
+        "worst_m": fit["max"],
+        "scaled_m": summary(scaled)["rmse"],
         "scale": scale,
-        "anchored_m": _rms(anchored),
-        "anchored_worst_m": float(anchored.max()),
-        "near_deg": float(np.degrees(np.concatenate([near, back])[:, 1].mean())),
-        "return_m": float(back[:, 0].mean()) if len(back) else 0.0,
+        "anchored_m": first["rmse"],
+        "anchored_worst_m": first["max"],
+        "near_deg": float(np.degrees(np.concatenate([near[1], back[1]]).mean())),
+        "return_m": float(back[0].mean()) if len(back[0]) else 0.0,
         "folded": _folded(estimate, true),
     }
-
-
-def _rms(error: Array) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def _scaled(fitted: Array, true: Array) -> tuple[float, Array]:
@@ -60,7 +57,8 @@ def _scaled(fitted: Array, true: Array) -> tuple[float, Array]:
     return scale, np.linalg.norm(scale * a - b, axis=1)
 
 
-def _pairs(true: SE2, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pairs(true: SE2, n: int) -> tuple[Array, Array]:
+    """Pairs (m, 2) of successive poses, and of poses at which the robot came back to a place."""
     rng = stream(1, "relations")
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true.xy, axis=0), axis=1))])
     a = rng.integers(0, len(path), n)
@@ -76,20 +74,17 @@ def _pairs(true: SE2, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return near, np.array(back, dtype=np.int64).reshape(-1, 2)
 
 
-def _relation_error(estimate: SE2, true: SE2, pairs: NDArray[np.int64]) -> Array:
-    """Norm [m] and angle [rad] of each relation's error, (n, 2)."""
-    i, j = pairs[:, 0], pairs[:, 1]
-    wanted = true[i].inverse() @ true[j]
-    error = (wanted.inverse() @ (estimate[i].inverse() @ estimate[j])).xyt
-    return np.stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])], axis=1)
+def _relation_errors(estimate: SE2, true: SE2, pairs: Array) -> tuple[Array, Array]:
+    """Errors of the relations between pairs (m, 2) of poses: translation (m,) [m] and rotation (m,) [rad]."""
+    i, j = pairs.T
+    wanted = Relations(i, j, true[i].inverse() @ true[j])
+    return relation_errors(Trajectory(np.arange(len(true)), estimate), wanted)[:2]
 
 
 def _folded(estimate: SE2, true: SE2) -> float:
     """Share of scans with another scan laid within 1 m of them that was truly FOLD_M and more away."""
     step = max(1, len(true) // 3000)
     est, tru = estimate.xy[::step], true.xy[::step]
-    tree = cKDTree(est)
-    wrong = 0
-    for i, others in enumerate(tree.query_ball_point(est, 1.0)):
-        wrong += bool((np.linalg.norm(tru[others] - tru[i], axis=1) > FOLD_M).any())
-    return wrong / len(est)
+    near = cKDTree(est).query_ball_point(est, 1.0)
+    far = [(np.linalg.norm(tru[others] - tru[i], axis=1) > FOLD_M).any() for i, others in enumerate(near)]
+    return float(np.mean(far))

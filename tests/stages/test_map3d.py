@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.slam3d_drives import ROUND, changed, make_drive, room, without_wheels
+from benchmarks.slam3d_drives import changed, make_drive, without_wheels
 from tests.helpers.foreign_bags import CLOUD, FIELD, SCAN, TYPES, header, laser_scan, write_foreign
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
@@ -31,7 +31,7 @@ def message(stamp_ns, cloud):
 @pytest.fixture(scope="module")
 def drive():
     """Five seconds, nothing but clouds."""
-    return changed(without_wheels(make_drive(room(), ROUND, v=0.8)), lambda k, c: c if 4 < k < 30 else None)
+    return changed(without_wheels(make_drive("room", v=0.8)), lambda k, c: c if 4 < k < 30 else None)
 
 
 @pytest.fixture(scope="module")
