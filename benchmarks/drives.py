@@ -8,15 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+import turtlebag as tb
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Scan, Trajectory
-from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.record import Scene, record
-from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.routes import RoutePlanner, random_goals
@@ -86,11 +83,10 @@ def kidnapped(before: list[Sweep], after: list[Sweep]) -> list[Sweep]:
     return before + carried
 
 
-def built_map(source: Path, folder: Path) -> Path:
-    """Our map of a log, made once: its folder."""
-    if not (folder / "manifest.json").exists():
-        build_map(MapInputs(Source(source)), Output(folder, force=True))
-    return folder
+def built_map(source: Path, folder: Path) -> tb.Map:
+    """Our map of a log, made once."""
+    made = (folder / "manifest.json").exists()
+    return tb.Map(folder) if made else tb.map(source, out=folder, force=True)
 
 
 class Maps:
@@ -103,9 +99,9 @@ class Maps:
         """map.yaml of a world as mapped from the robot's own tour of it."""
         place = self._folder / "".join(c if c.isalnum() else "_" for c in f"{world} {robot} {self._sensors}")
         if not (place / "map" / "manifest.json").exists():
-            sim = SimConfig(sensors=self._sensors)
-            record(Scene.load(world, robot, sim=sim), "tour", Output(place / "record", force=True))
-        return built_map(place / "record", place / "map") / "map.yaml"
+            settings = {"sim.sensors": self._sensors}
+            tb.record(world, robot, settings=settings, out=place / "record", force=True)
+        return built_map(place / "record", place / "map").yaml
 
     def true(self, name: str, grid: OccupancyGrid) -> Path:
         """map.yaml of a world as it is."""

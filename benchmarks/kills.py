@@ -29,16 +29,16 @@ import yaml
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
+import turtlebag as tb
 from benchmarks.rows import options, write
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Output, sha256_tree
+from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.cli.main import main as turtlebag
-from turtlebag.pipeline.stages.record import Scene, record
 
 Outcome = tuple[str, str, str]
 """Stage, moment of the kill [s], and what came of it."""
@@ -160,7 +160,7 @@ def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> Iterato
 def recoveries(folder: Path, count: int, seed: int) -> Iterator[Outcome]:
     """Recordings killed at a moment of their data and recovered."""
     folder.mkdir()
-    record(Scene.load("turtlebot3_world"), "tour", Output(folder / "whole"))
+    tb.record("turtlebot3_world", out=folder / "whole")
     full_s = max(m.log_time_ns for m in open_bag(folder / "whole").messages()) * 1e-9
     for k, at in enumerate(np.random.default_rng(seed).uniform(0.0, full_s, count)):
         yield "recover", f"{at:.3f}", one_recovery(folder / f"r{k}", at, full_s)

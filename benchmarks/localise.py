@@ -33,7 +33,6 @@ from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.stages.localise import LocaliseConfig, run_amcl
@@ -118,8 +117,7 @@ def intel(session: Session) -> Iterator[Row]:
         print("log: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
         return
     built = built_map(source, session.out / "intel_map")
-    recording, grid = load_recording(source), load_map(built / "map.yaml")
-    slam = load_tum(built / "trajectory.tum").poses
+    recording, grid, slam = load_recording(source), built.occupancy, built.trajectory.poses
     for label, start in (("told", slam[0]), ("global", "global")):
         before = time.process_time()
         found = run_amcl(recording, grid, start, LocaliseConfig(), stream(1, "amcl")).trajectory.poses

@@ -29,7 +29,6 @@ from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_shortest import Lattice
 from benchmarks.rows import Row, grouped, options, public, write
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
@@ -82,7 +81,7 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
     if name == "intel":
         log = public(*INTEL)
         assert log is not None
-        grid = load_map(built_map(log, out / "intel_map") / "map.yaml")
+        grid = built_map(log, out / "intel_map").occupancy
         costmap = costmap_from_grid(grid, CostmapConfig())
         regions = regions_of(costmap, robot.model.circumscribed_radius + ROOM_M)
         cells = np.argwhere(regions == np.argmax(np.bincount(regions[regions > 0])))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,21 +12,18 @@ from typing import Any, get_args
 import numpy as np
 from PIL import Image
 
+import turtlebag as tb
 from benchmarks.known import Known, known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_scores import errors
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
-from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
-from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
-from turtlebag.sim.simulator import Sensors, SimConfig
+from turtlebag.sim.simulator import Sensors
 from turtlebag.sim.teleop import script_names
 
 PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
@@ -85,20 +81,16 @@ def picture(grid: OccupancyGrid, folder: Path, name: str) -> None:
 
 def driven(
     world: str, robot: str, teleop: str, seed: int, sensors: Sensors
-) -> tuple[Known, OccupancyGrid, int]:
-    """A simulated drive: log and truth, the true map, and the exit code (1: the robot got stuck)."""
-    with tempfile.TemporaryDirectory() as scratch:
-        drive = Path(scratch) / "drive"
-        scene = Scene.load(world, robot, seed, SimConfig(sensors=sensors))
-        code = record(scene, teleop, Output(drive))
-        recording, truth = load_recording(drive), load_tum(drive / "truth" / "trajectory.tum")
-        true_map = load_map(drive / "truth" / "map.yaml")
-    return known(recording, truth.at(recording.stamps_ns)), true_map, code
+) -> tuple[Known, OccupancyGrid, bool]:
+    """A simulated drive: log and truth, the true map, and whether the robot got stuck."""
+    bag = tb.record(world, robot, teleop=teleop, seed=seed, settings={"sim.sensors": sensors})
+    log = known(bag.recording, bag.truth.at(bag.recording.stamps_ns))
+    return log, load_map(bag.path / "truth/map.yaml"), any("ended early" in note for note in bag.notes)
 
 
 def drive_row(drive: Row, pictures: Path | None) -> Row:
     """A simulated drive, its trajectory and its map against the exact truth."""
-    log, true_map, code = driven(**drive)
+    log, true_map, stuck = driven(**drive)
     result, row = mapped(log.recording)
     if pictures is not None:
         picture(result.grid, pictures / "maps", "-".join(map(str, drive.values())))
@@ -109,7 +101,7 @@ def drive_row(drive: Row, pictures: Path | None) -> Row:
         "within": found["occupied_error_m"]["within_one_cell"],
         "iou": found["iou"],
         "walls": float(occupied(result.grid).sum() / seen),
-        "stuck": code != 0,
+        "stuck": stuck,
     }
 
 

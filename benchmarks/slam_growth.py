@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+import turtlebag as tb
 from benchmarks.known import Known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
@@ -27,10 +28,8 @@ from benchmarks.slam_public import public_log
 from turtlebag.datasets.grid import UNKNOWN
 from turtlebag.datasets.kernels import folders
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.stages.record import Scene, record
 
 SCANS = 20_000
 GROWN = f"ACES to {SCANS} scans"
@@ -106,7 +105,7 @@ def arena_row(laps: int) -> Row:
         script, drive = Path(place) / "laps.yaml", Path(place) / "drive"
         steps = [{"wait": 1.0}, *[{"route": "tour"}] * laps, {"wait": 1.0}]
         script.write_text(yaml.safe_dump({"name": "laps", "v": 0.2, "w": 0.6, "steps": steps}))
-        record(Scene.load("turtlebot3_world", "burger"), str(script), Output(drive))
+        tb.record("turtlebot3_world", "burger", teleop=script, out=drive)
         return map_cost(drive, Path(place))
 
 

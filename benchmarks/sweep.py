@@ -11,10 +11,7 @@ Parts:
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from argparse import Namespace
@@ -22,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import turtlebag as tb
 from benchmarks.rows import Row, held_mb, options, parts_of, write
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Run, Where
@@ -54,27 +52,14 @@ def spent(pids: Sequence[int]) -> float:
 @contextmanager
 def cluster(workers: int, folder: Path) -> Iterator[tuple[str, list[int]]]:
     """A scheduler and its workers as processes of their own: its address, and all of them, itself first."""
-    where = folder / f"scheduler-{workers}.json"
-    options = ["--scheduler-file", str(where), "--no-dashboard"]
-    one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    started: list[subprocess.Popen[bytes]] = []
+    from distributed.deploy.subprocess import SubprocessCluster
 
-    def start(name: str, *more: str) -> None:
-        words = [sys.executable, "-m", f"distributed.cli.dask_{name}", *options, *more]
-        with (folder / "log").open("ab") as log:
-            started.append(subprocess.Popen(words, stdout=log, stderr=log, env={**os.environ, **one}))
-
-    try:
-        start("scheduler", "--port", "0")
-        while not where.exists():
-            time.sleep(0.1)
-        for number in range(workers):
-            start("worker", "--nthreads", "1", "--no-nanny", "--local-directory", str(folder / str(number)))
-        yield json.loads(where.read_text())["address"], [process.pid for process in started]
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait()
+    os.environ |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    with SubprocessCluster(
+        n_workers=workers, threads_per_worker=1, worker_class="distributed.Worker", dashboard_address=None,
+        worker_kwargs={"local_directory": str(folder)},
+    ) as made:  # fmt: skip
+        yield made.scheduler_address, [p.process.pid for p in (made.scheduler, *made.workers.values())]
 
 
 def timed(campaign: Campaign, run: Run, workers: int, folder: Path, parts: int) -> Iterator[Row]:
@@ -123,13 +108,11 @@ def overhead(count: int, folder: Path) -> list[Row]:
 
 def speedup(folder: Path) -> list[Row]:
     """Maps of one drive by one worker and by two."""
-    drive = folder / "drive"
-    words = ["record", "--world", "turtlebot3_world", "--teleop", "tour", "--seed", "1", "--quiet"]
-    assert turtlebag([*words, "--out", str(drive)]) == 0
+    drive = tb.record("turtlebot3_world", out=folder / "drive")
     campaign = Campaign.model_validate(
         {
             "name": "maps",
-            "bags": [str(drive)],
+            "bags": [str(drive.path)],
             "factors": {"n": {"first": 1, "last": MAPS}},
             "stages": {"map": "map {bag} --set grid.resolution_m={n:0.05+0*x}"},
             "results": {"scans": "map:scans"},
