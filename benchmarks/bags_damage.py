@@ -107,10 +107,7 @@ def campaign(bag: Path, count: int, seed: int, scratch: Path) -> Iterator[tuple[
 
 
 def main() -> int:
-    parser = options(__doc__, quick="40 of each kind")
-    parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    args = options(__doc__, quick="40 of each kind", count=500, seed=0).parse_args()
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         write_drive(scratch / "bag", seconds=20)

@@ -214,12 +214,11 @@ def looks_whole(bag: Path) -> bool:
 
 
 def main() -> int:
-    parser = options(__doc__, quick="one kill each")
-    parser.add_argument("--count", type=int, default=190)
+    parser = options(__doc__, quick="one kill each", count=190, seed=0)
+    stages = CHAIN["commands"]
     parser.add_argument(
-        "--only", nargs="+", default=[], choices=CHAIN["commands"], metavar="STAGE", help="kill these alone"
+        "--only", nargs="+", default=[], choices=stages, metavar="STAGE", help="kill these alone"
     )
-    parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     load_everything()
     with tempfile.TemporaryDirectory() as name:

@@ -144,9 +144,7 @@ def report(rows: list[dict[str, Any]], equivalent: dict[str, str]) -> str:
 
 
 def main() -> None:
-    parser = options(__doc__, "data/benchmarks/mutants")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--count", type=int, default=100)
+    parser = options(__doc__, "data/benchmarks/mutants", seed=1, count=100)
     parser.add_argument("--survivors", action="store_true", help="try those again that nothing noticed")
     args = parser.parse_args()
     equivalent = yaml.safe_load(EQUIVALENT.read_text()) or {}

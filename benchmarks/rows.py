@@ -21,12 +21,16 @@ Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]
 
 
-def options(doc: str, out: str = "data/benchmarks", quick: str = "") -> argparse.ArgumentParser:
-    """The command line of a benchmark: `--out`, and `--quick` where it has a sample of itself."""
+def options(
+    doc: str, out: str = "data/benchmarks", quick: str = "", **numbers: int
+) -> argparse.ArgumentParser:
+    """The command line of a benchmark: `--out`, `--quick` where it has a sample of itself, and some numbers."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
     if quick:
         parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help=f"default: {out}")
+    for name, default in numbers.items():
+        parser.add_argument(f"--{name}", type=int, default=default, metavar="N", help=f"default: {default}")
     return parser
 
 

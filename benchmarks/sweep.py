@@ -159,10 +159,8 @@ PARTS: dict[str, Callable[[Namespace, Path], list[Row]]] = {
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure what is asked for, print and write the tables."""
-    parser = options(__doc__, "data/benchmarks/sweep")
+    parser = options(__doc__, "data/benchmarks/sweep", cases=10_000, rows=1_000_000)
     parts_of(parser, PARTS)
-    parser.add_argument("--cases", type=int, default=10_000, metavar="N", help="empty cases")
-    parser.add_argument("--rows", type=int, default=1_000_000, metavar="N", help="rows of the table")
     args = parser.parse_args(argv)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         for name in args.parts:
