@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 def options(
     doc: str, out: str = "data/benchmarks", quick: str = "", **numbers: int
 ) -> argparse.ArgumentParser:
-    """The command line of a benchmark: `--out`, `--quick` where it has a sample of itself, and some numbers."""
+    """The command line of a benchmark: `--out`, `--quick` where it has a sample, and some numbers."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
     if quick:
         parser.add_argument("--quick", action="store_true", help=quick)

@@ -16,7 +16,7 @@ import turtlebag as tb
 from benchmarks.known import Known, known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_scores import errors
+from benchmarks.slam_scores import errors, scored
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.seeds import stream
@@ -95,7 +95,7 @@ def drive_row(drive: Row, pictures: Path | None) -> Row:
     if pictures is not None:
         picture(result.grid, pictures / "maps", "-".join(map(str, drive.values())))
     found: Any = map_metrics(result.grid, true_map)
-    row |= errors(result.trajectory.poses, log.reference)
+    row |= scored(log, result.trajectory)
     seen = max(int(visible_surface(true_map, result.grid).sum()), 1)
     return row | {
         "within": found["occupied_error_m"]["within_one_cell"],
@@ -184,7 +184,7 @@ def synthetic_row(log: str, lidar: str, pictures: Path) -> Row:
     result, row = mapped(heard.recording)
     picture(result.grid, pictures / "maps", f"{log}-{lidar}".replace(" ", "_"))
     wheels = {"driven_m": made.truth.length(), "odometry_m": errors(heard.odometry, heard.reference)["m"]}
-    return row | errors(result.trajectory.poses, heard.reference) | wheels
+    return row | scored(heard, result.trajectory) | wheels
 
 
 def synthetic_cases(out: Path) -> list[Case]:

@@ -17,7 +17,7 @@ from benchmarks.known import Known
 from benchmarks.rows import Case, Row, grouped, share
 from benchmarks.slam_cases import PLACES, ROBOTS, driven, mapped, world_of
 from benchmarks.slam_logs import arena, office, rooms
-from benchmarks.slam_scores import errors
+from benchmarks.slam_scores import scored
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.stages.map_summary import BAD_M
 
@@ -47,7 +47,7 @@ def detector_row(place: str, robot: str, seed: int, kind: str) -> Row:
     if kind != "plain":
         log = KINDS[kind](log, stream(seed, kind))
     result, row = mapped(log.recording)
-    return row | errors(result.trajectory.poses, log.reference)
+    return row | scored(log, result.trajectory)
 
 
 def detector_cases() -> list[Case]:

@@ -14,6 +14,7 @@ from benchmarks.rows import Case, Row, held_mb
 from benchmarks.slam_cases import mapped
 from benchmarks.slam_growth import GROWN, there_and_back
 from benchmarks.slam_public import RADISH, by_name, public_log, read
+from benchmarks.slam_scores import scored
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory, seconds
 from turtlebag.pipeline.navigation.online_map import OnlineMap
@@ -69,11 +70,11 @@ def costs(mapper: Mapper, spent: list[float], held: list[float]) -> Row:
 
 def online_row(data: Path | None, log: str) -> Row:
     """A log by its name, online beside offline."""
-    recording, scored = by_name(data, log)
-    result, offline = mapped(recording)
-    given, end, row = online(recording)
+    made = by_name(data, log)
+    result, offline = mapped(made.recording)
+    given, end, row = online(made.recording)
     told = {"offline_m": result.trajectory, "end_m": end, "driving_m": given}
-    return offline | row | {name: scored(trajectory)["m"] for name, trajectory in told.items()}
+    return offline | row | {name: scored(made, trajectory)["m"] for name, trajectory in told.items()}
 
 
 def long_row(log: Path) -> Row:
@@ -81,7 +82,7 @@ def long_row(log: Path) -> Row:
     with tempfile.TemporaryDirectory() as place:
         longer = Path(place) / "aces.clf"
         longer.write_bytes(there_and_back(bz2.decompress(log.read_bytes())))
-        return online(read(longer))[2]
+        return online(read(longer).recording)[2]
 
 
 def hours_row() -> Row:

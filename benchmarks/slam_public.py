@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.disturb import MODES, disturbed
-from benchmarks.known import chosen, known
+from benchmarks.known import NO_RELATIONS, Known, chosen, known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import PLACES, driven, mapped, picture
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_scores import errors
+from benchmarks.slam_scores import by_relations, errors, scored
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.relations import Relations, load_relations
+from turtlebag.datasets.relations import load_relations
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
-from turtlebag.datasets.types import Recording, Trajectory
-from turtlebag.reports.metrics.relations import relations_metrics
+from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.trajectory import associate
 
 RADISH = ("mit-csail", "fr079", "intel")
@@ -36,39 +38,21 @@ PUBLISHED = {
 }
 
 
-def by_relations(estimate: Trajectory, relations: Relations) -> Row:
-    """Mean errors of relations, by metricEvaluator's definition and by Cartographer's."""
-    found = relations_metrics(estimate, relations)
-    ours, theirs = found["relations"], found["relations_cartographer"]
-    return {
-        "m": ours["trans_m"]["mean"],
-        "deg": ours["rot_deg"]["mean"],
-        "relations": ours["n"],
-        "cartographer_m": theirs["trans_m"]["mean"],
-        "cartographer_deg": theirs["rot_deg"]["mean"],
-    }
-
-
-@lru_cache(maxsize=1)
-def read(log: Path) -> Recording:
-    """A log; the last one is kept at hand."""
-    return load_recording(log)
-
-
 def stem(log: Path) -> str:
     """The name of a log's truth beside it, without what kind it is."""
     return log.name.split(".clf")[0]
 
 
-def scored(log: Path, found: Trajectory) -> Row:
-    """Errors on a public log by its relations, or after a rigid fit to reference poses; none without them."""
+@lru_cache(maxsize=1)
+def read(log: Path) -> Known:
+    """A log with the relations or the reference poses that lie beside it; the last one is kept at hand."""
+    recording = load_recording(log)
     relations, reference = (log.with_name(f"{stem(log)}.{kind}") for kind in ("relations", "reference.tum"))
-    if relations.is_file():
-        return by_relations(found, load_relations(relations))
+    places = np.full((len(recording), 3), np.nan)
     if reference.is_file():
-        pairs = associate(found, load_tum(reference))
-        return errors(pairs.T_map_base, pairs.T_world_base)
-    return {}
+        pairs = associate(Trajectory(recording.stamps_ns, SE2(places)), load_tum(reference))
+        places[np.isin(recording.stamps_ns, pairs.stamps_ns)] = pairs.T_world_base.xyt
+    return known(recording, SE2(places), load_relations(relations) if relations.is_file() else NO_RELATIONS)
 
 
 def public_log(data: Path, name: str) -> Path:
@@ -76,37 +60,37 @@ def public_log(data: Path, name: str) -> Path:
     return data / ("radish" if name in RADISH else "wild") / f"{name}.clf.bz2"
 
 
-def by_name(data: Path | None, name: str) -> tuple[Recording, Callable[[Trajectory], Row]]:
-    """A log, and the errors of a trajectory of it.
+def by_name(data: Path | None, name: str) -> Known:
+    """A log with what is known of it.
 
     Names are those of LOGS, of worlds of PLACES (with `-robot-script-seed` where that is not a burger's first
     tour; sensors are realistic), and of the public logs in `data`.
     """
+    if name in LOGS:
+        return LOGS[name]()
     place, *drive = name.split("-")
-    if name in LOGS or place.partition(":")[0] in PLACES:
-        robot, teleop, seed = drive if name not in LOGS and drive else ("burger", "tour", "1")
-        made = LOGS[name]() if name in LOGS else driven(place, robot, teleop, int(seed), "realistic")[0]
-        return made.recording, lambda found: errors(found.poses, made.reference)
+    if place.partition(":")[0] in PLACES:
+        robot, teleop, seed = drive or ("burger", "tour", "1")
+        return driven(place, robot, teleop, int(seed), "realistic")[0]
     assert data is not None
-    log = public_log(data, name)
-    return read(log), partial(scored, log)
+    return read(public_log(data, name))
 
 
 def log_row(
     data: Path | None, log: str, settings: dict[str, Any] | None = None, pictures: Path | None = None
 ) -> Row:
     """A log by its name, mapped with some settings."""
-    recording, scored = by_name(data, log)
-    result, row = mapped(recording, settings)
+    made = by_name(data, log)
+    result, row = mapped(made.recording, settings)
     if pictures is not None:
         picture(result.grid, pictures / "maps", log)
-    return row | scored(result.trajectory)
+    return row | scored(made, result.trajectory)
 
 
 @lru_cache(maxsize=len(RADISH))
 def undisturbed(log: Path) -> Trajectory:
     """The trajectory that the log as it is gives, which all of its modes are compared with."""
-    return mapped(read(log))[0].trajectory
+    return mapped(read(log).recording)[0].trajectory
 
 
 def disturbed_row(log: Path, mode: str) -> Row:
@@ -114,9 +98,8 @@ def disturbed_row(log: Path, mode: str) -> Row:
 
     Where too few relations are left, the errors are those against the undisturbed map.
     """
-    before = undisturbed(log)
-    relations = load_relations(log.with_name(f"{stem(log)}.relations"))
-    harder = disturbed(known(read(log), before.poses, relations), mode)
+    before, relations = undisturbed(log), read(log).relations
+    harder = disturbed(replace(read(log), reference=before.poses), mode)
     result, row = mapped(harder.recording)
     if len(harder.which) < ENOUGH_RELATIONS:
         return row | errors(result.trajectory.poses, harder.reference) | {"scored by": "undisturbed map"}

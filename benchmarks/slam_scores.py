@@ -1,22 +1,43 @@
-"""How good an estimated trajectory is against the exact truth."""
+"""How good an estimated trajectory is, by what is known of its log."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.known import Known
 from benchmarks.rows import Row
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.metrics.relations import relation_errors
+from turtlebag.reports.metrics.relations import relation_errors, relations_metrics
 from turtlebag.reports.metrics.trajectory import PosePairs, summary
 
 PAIRS = 2000
 NEAR_M = 2.5
 RETURN_M = 10.0
 FOLD_M = 3.0
+
+
+def scored(log: Known, found: Trajectory) -> Row:
+    """Errors of a log's trajectory by its relations, or else after a rigid fit; none when nobody knows."""
+    if len(log.relations):
+        return by_relations(found, log.relations)
+    return errors(found.poses, log.reference) if np.isfinite(log.reference.xyt).any() else {}
+
+
+def by_relations(estimate: Trajectory, relations: Relations) -> Row:
+    """Mean errors of relations, by metricEvaluator's definition and by Cartographer's."""
+    found = relations_metrics(estimate, relations)
+    ours, theirs = found["relations"], found["relations_cartographer"]
+    return {
+        "m": ours["trans_m"]["mean"],
+        "deg": ours["rot_deg"]["mean"],
+        "relations": ours["n"],
+        "cartographer_m": theirs["trans_m"]["mean"],
+        "cartographer_deg": theirs["rot_deg"]["mean"],
+    }
 
 
 def errors(estimate: SE2, reference: SE2) -> Row:

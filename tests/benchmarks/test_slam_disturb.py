@@ -6,8 +6,7 @@ import pytest
 from benchmarks.disturb import KINDS, MODES, disturbed, mirror, reverse
 from benchmarks.known import Known, known
 from benchmarks.slam_cases import VARIANTS
-from benchmarks.slam_public import by_relations
-from benchmarks.slam_scores import errors
+from benchmarks.slam_scores import by_relations, errors
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, LidarSpec, Recording, Trajectory
