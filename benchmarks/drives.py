@@ -13,14 +13,14 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.types import Scan, Trajectory
+from turtlebag.datasets.types import Scan
+from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.routes import RoutePlanner, random_goals
 from turtlebag.sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 
-KEPT = 15  # control steps that surely reach back to a scan's stamp
 V, W = 0.22, 0.9
 PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 """The tutorial's worlds, each with its robot."""
@@ -54,23 +54,19 @@ class Place:
         spawn = SE2.from_xyt(*rng.choice(self._places), rng.uniform(-math.pi, math.pi))
         planner = RoutePlanner(replace(self.world, spawn=spawn), self.robot)
         route = random_goals(planner, rng, 1.5 * V * seconds)
-        sweeps: list[Sweep] = []
-        stamps: list[int] = []
-        odometry: list[SE2] = []
+        odometry, scans = [], []
         with Simulator(self.world, self.robot, self.sim, seed) as simulator:
             seen = simulator.reset(spawn)
             hands = Driver(min(self.robot.limits.max_v, V), W).flow(simulator.truth, route)
             command = next(hands)
             for _ in range(round(seconds * CONTROL_HZ)):
-                stamps.append(seen.stamp_ns)
-                odometry.append(seen.odometry.T_odom_base)
+                odometry.append((seen.stamp_ns, seen.odometry.T_odom_base))
                 if seen.scan is not None:
-                    driven = Trajectory(np.array(stamps[-KEPT:]), SE2.stack(odometry[-KEPT:]))
-                    at_start = driven.at(np.array([seen.scan.stamp_ns]))[0]
-                    sweeps.append(Sweep(seen.scan, at_start, odometry[-1], simulator.scan_truth))
+                    scans.append((seen.scan, seen.odometry.T_odom_base, simulator.scan_truth))
                 seen = simulator.step(command)
                 command = hands.send(simulator.truth)
-        return sweeps
+        begun = trajectory_of(odometry).at(np.array([scan.stamp_ns for scan, _, _ in scans]))
+        return [Sweep(scan, begun[k], end, truth) for k, (scan, end, truth) in enumerate(scans)]
 
 
 def kidnapped(before: list[Sweep], after: list[Sweep]) -> list[Sweep]:

@@ -17,6 +17,7 @@ from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.sim.raycast import cast
 
 DT = 0.02
+NOBODY = np.empty((0, 3))
 
 
 @dataclass(frozen=True)
@@ -204,11 +205,13 @@ def measure(
     when = times[:, None] + spec.time_increment * np.arange(spec.n_beams)
     T_world_lidar = at_times(poses, when) @ SE2(np.array(sensor.T_base_lidar))
     angles = T_world_lidar.yaw + spec.angles
-    ways, outlines = np.stack([np.cos(angles), np.sin(angles)], axis=-1), plan.outlines()
-    scans = zip(np.ascontiguousarray(T_world_lidar.xy), ways, np.unwrap(angles), strict=True)
-    out = np.array([cast(*rays, outlines, spec.range_max + 3.0)[0] for rays in scans])
-    if person:
-        out = np.minimum(out, _person(T_world_lidar, ways, when))
+    ways, turned = np.stack([np.cos(angles), np.sin(angles)], axis=-1), np.unwrap(angles)
+    segments, circles = plan.outlines()
+    out = np.empty(when.shape)
+    for k, at in enumerate(np.ascontiguousarray(T_world_lidar.xy)):
+        legs = _legs(T_world_lidar[k, 0], times[k]) if person else NOBODY
+        outlines = segments, np.vstack([circles, legs])
+        out[k], _ = cast(at, ways[k], turned[k], outlines, spec.range_max + 3.0)
     neighbour = np.roll(out, -1, axis=1)
     blend = rng.random(out.shape)
     with np.errstate(invalid="ignore"):
@@ -222,19 +225,12 @@ def measure(
     return np.where(out < spec.range_min, -np.inf, out).astype(np.float32)
 
 
-def _person(T_world_lidar: SE2, ways: Array, when: Array) -> Array:
-    """Ranges to two legs that walk with the robot for 10 of every 20 s, weaving in front of it."""
-    out = np.full(when.shape, np.inf)
-    here = (when % 20.0) < 10.0
-    bearing, reach = 0.9 * np.sin(0.9 * when), 1.4 + 0.5 * np.sin(0.37 * when)
-    for side in (-1.0, 1.0):
-        stride = 0.15 * side * np.sin(5.0 * when)
-        legs = T_world_lidar @ np.stack(
-            [reach * np.cos(bearing) + stride, reach * np.sin(bearing) + 0.12 * side], axis=-1
-        )
-        offset = legs - T_world_lidar.xy
-        along = offset[..., 0] * ways[..., 0] + offset[..., 1] * ways[..., 1]
-        inside = along**2 - (offset**2).sum(axis=-1) + 0.08**2
-        hit = here & (inside > 0.0) & (along > 0.0)
-        out[hit] = np.minimum(out[hit], along[hit] - np.sqrt(inside[hit]))
-    return out
+def _legs(T_world_lidar: SE2, t: float) -> Array:
+    """Two legs, circles (2, 3), that walk with the robot for 10 of every 20 s, weaving in front of it."""
+    if t % 20.0 >= 10.0:
+        return NOBODY
+    bearing, reach = 0.9 * math.sin(0.9 * t), 1.4 + 0.5 * math.sin(0.37 * t)
+    side = np.array([-1.0, 1.0])
+    ahead = reach * math.cos(bearing) + 0.15 * side * math.sin(5.0 * t)
+    legs = T_world_lidar @ np.stack([ahead, reach * math.sin(bearing) + 0.12 * side], axis=-1)
+    return np.column_stack([legs, [0.08, 0.08]])

@@ -25,11 +25,11 @@ from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import SIDES, crossing, door
 from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_public import public_log
+from tests.helpers.carmen_lines import carmen_text
 from turtlebag.datasets.grid import UNKNOWN
 from turtlebag.datasets.kernels import folders
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.types import Recording
 
 SCANS = 20_000
 GROWN = f"ACES to {SCANS} scans"
@@ -37,8 +37,6 @@ LAPS = (1, 2, 4)
 BLOCKS = (1, 2, 3, 4)
 BLOCK_M = 14.0
 COSTS = ("scans", "keys", "area_m2", "cpu_s", "ms a scan", "scans per s", "peak_mb", "verdict")
-NO_RETURN_M = 81.83
-"""How a SICK's log says "nothing came back"."""
 
 # A process of a few megabytes starts the command: Linux counts what the starting process held as the peak of
 # the one that it starts.
@@ -111,7 +109,7 @@ def arena_row(laps: int) -> Row:
 
 def floor_row(blocks: int) -> Row:
     """A floor of blocks x blocks squares with corridors about them."""
-    return text_row(carmen(floor(blocks).recording).encode())
+    return text_row(carmen_text(floor(blocks).recording).encode())
 
 
 def text_row(text: bytes) -> Row:
@@ -141,20 +139,6 @@ def there_and_back(content: bytes, scans: int = SCANS) -> bytes:
         for k, t in zip(order, clock.tolist(), strict=True)
     )
     return b"\n".join(said) + b"\n"
-
-
-def carmen(recording: Recording) -> str:
-    """A recording as FLASER lines; its lidar sees half a circle and sits at the robot's centre."""
-    assert recording.T_odom_base is not None
-    lines = []
-    ranges = np.where(np.isfinite(recording.ranges), recording.ranges, NO_RETURN_M)
-    for stamp, beams, pose in zip(
-        recording.stamps_ns.tolist(), ranges, recording.T_odom_base.xyt, strict=True
-    ):
-        at, when = " ".join(f"{value:.6f}" for value in pose), f"{stamp * 1e-9:.6f}"
-        readings = " ".join(f"{value:.2f}" for value in beams)
-        lines.append(f"FLASER {len(beams)} {readings} {at} {at} {when} nohost {when}")
-    return "\n".join(lines) + "\n"
 
 
 def floor(blocks: int) -> Known:

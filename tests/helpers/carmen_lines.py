@@ -1,5 +1,10 @@
 """Lines of CARMEN logs."""
 
+import numpy as np
+
+NO_RETURN_M = 81.83
+"""How a SICK's log says "nothing came back"."""
+
 
 def flaser(ranges, laser=(0.0, 0.0, 0.0), robot=(0.0, 0.0, 0.0), stamp="12.345678"):
     readings = " ".join(f"{r:.2f}" for r in ranges)
@@ -14,11 +19,7 @@ def write(tmp_path, text, name="a.clf"):
 
 
 def carmen_text(log):
-    """The first 180 beams of a recording and its odometry, as FLASER lines."""
-    lines = []
-    for k in range(len(log)):
-        x, y, yaw = log.T_odom_base.xyt[k]
-        pose = f"{x:.6f} {y:.6f} {yaw:.6f}"
-        readings = " ".join(f"{r:.3f}" for r in log.ranges[k, :180])
-        lines.append(f"FLASER 180 {readings} {pose} {pose} {log.stamps_ns[k] / 1e9:.6f} host {k * 0.2:.6f}")
-    return "\n".join(lines) + "\n"
+    """The first 180 beams of a recording, from the robot's centre, and its odometry, as FLASER lines."""
+    ranges = np.where(np.isfinite(log.ranges), log.ranges, NO_RETURN_M)[:, :180]
+    poses, stamps = log.T_odom_base.xyt, log.stamps_ns * 1e-9
+    return "".join(flaser(ranges[k], poses[k], poses[k], f"{stamps[k]:.6f}") for k in range(len(log)))

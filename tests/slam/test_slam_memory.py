@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.slam_growth import carmen, floor, there_and_back
+from benchmarks.slam_growth import floor, there_and_back
+from tests.helpers.carmen_lines import carmen_text
 from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
 from turtlebag.datasets.carmen import parse_carmen
 from turtlebag.datasets.errors import InputError
@@ -30,7 +31,7 @@ def arrays(one):
 
 @pytest.mark.slow
 def test_a_log_is_read_in_little_more_memory_than_its_text_and_its_numbers():
-    line = carmen(recording(ROOM, POSES[:1], SICK, odometry=POSES[:1]))
+    line = carmen_text(recording(ROOM, POSES[:1], SICK, odometry=POSES[:1]))
     content = (line * 3000).encode()
     tracemalloc.start()
     try:
@@ -140,7 +141,8 @@ print(resident() - before)
 
 def test_a_log_driven_there_and_back_goes_on_from_each_scan_to_its_neighbour():
     log = recording(ROOM, POSES[:5], SICK, odometry=POSES[:5])
-    longer = parse_carmen(there_and_back(carmen(log).encode(), 14), Path("log"), T_base_lidar=None, notes=[])
+    content = there_and_back(carmen_text(log).encode(), 14)
+    longer = parse_carmen(content, Path("log"), T_base_lidar=None, notes=[])
     order = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3, 4, 3]
     assert longer.T_odom_base is not None
     np.testing.assert_allclose(longer.T_odom_base.xyt, SE2.from_array(POSES[order]).xyt, atol=1e-6)
