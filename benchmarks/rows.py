@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.fingerprints import fingerprint
+from turtlebag.reports.metrics.statistics import share_interval
 
 Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]
@@ -135,14 +136,10 @@ class Rows:
         return [self._found[case.name] for case in cases if case.name in self._found]
 
 
-def interval(successes: int, n: int, method: str = "wilson") -> tuple[float, float]:
-    """95 % interval of a share (`exact`: Clopper and Pearson's); all of 0..1 when there is nothing."""
-    from scipy.stats import binomtest  # a second to load, which workers need not pay for
-
-    if n == 0:
-        return 0.0, 1.0
-    found = binomtest(successes, n).proportion_ci(method=method)
-    return float(found.low), float(found.high)
+def interval(successes: int, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share; all of 0..1 when there is nothing."""
+    found = share_interval(successes, n)
+    return found.low or 0.0, 1.0 if found.high is None else found.high
 
 
 def share(successes: int, n: int) -> str:
