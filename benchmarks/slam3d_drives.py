@@ -11,10 +11,10 @@ import numpy as np
 
 from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
 from turtlebag.pipeline.navigation.recorder import trajectory_of
-from turtlebag.sim.driver import Driver
 from turtlebag.sim.faults import FaultConfig
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
+from turtlebag.sim.teleop import Script, Step, commands
 from turtlebag.sim.worlds import load_world
 
 WORLDS = Path(__file__).with_name("worlds")
@@ -41,17 +41,17 @@ def make_drive(world: str, *, v: float = 0.5, w: float = 1.0, n_azimuths: int = 
             "lidar3d": mount.model_copy(update={"n_azimuths": n_azimuths}),
         }
     )
+    steps = [Step(wait=1.0), Step(through=place.routes["round"].tolist())]
+    driver = commands(Script(name="round", v=v, w=w, steps=steps), place, robot, 1)
     odometry, truth, found = [], [], []
     with Simulator(place, robot, VEERING, 1) as simulator, suppress(StopIteration):
         seen = simulator.reset()
-        hands = Driver(v, w).through(simulator.truth, place.routes["round"])
-        command = next(hands)
+        next(driver)
         while True:
             odometry.append((seen.stamp_ns, seen.odometry.T_odom_base))
             truth.append((seen.stamp_ns, simulator.truth.T_world_base))
             found += [] if seen.cloud is None else [seen.cloud]
-            seen = simulator.step(command)
-            command = hands.send(simulator.truth)
+            seen = simulator.step(driver.send(simulator.truth))
     stamps = np.array([stamp for stamp, _ in found])
     driven, true = (_from_its_start(trajectory_of(poses)) for poses in (odometry, truth))
     T_base_lidar = np.eye(4)
