@@ -161,8 +161,12 @@ def redrawn() -> Iterator[Callable[[str], None]]:
     from rich.text import Text
 
     console = Console(stderr=True)
-    live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-    with live, _lines_above(console):
+    with (
+        Live(
+            console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
+        ) as live,
+        _lines_above(console),
+    ):
         yield lambda frame: live.update(Text(frame, no_wrap=True, overflow="crop"), refresh=True)
 
 
