@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     state = KeyState(scene.robot.limits, args.style)
     table = TABLES[args.style]
     show(table + "\n")
-    with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn(whole_screen=args.view) as redraw:
         return record_drive(
             scene,
             keyboard_driver(state, read_keys, clock(args.speed)),
