@@ -45,7 +45,8 @@ class GrowingGraph:
         self._isam.update(graph, values)
         self._count = len(T_map_keys)
         found = self._isam.calculateEstimate()
-        return np.asarray(gtsam.utilities.extractPose2(found))
+        # By rows, not by columns: every kernel that is given them would be compiled once more.
+        return np.ascontiguousarray(gtsam.utilities.extractPose2(found))
 
 
 def without(

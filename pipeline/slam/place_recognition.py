@@ -168,7 +168,7 @@ def _settled(
 ) -> Recognised:
     """A coarse pose of the query seen from the other made fine, and judged by all that can be checked."""
     clouds, keys = scans
-    place, at_place = keys[other.keys[::2]], other.T_middle_keys[::2]
+    place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     pose = start
     for limits in (Limits(0.4, 0.15), ROUGH):

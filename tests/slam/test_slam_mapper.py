@@ -143,6 +143,7 @@ def test_the_growing_graph_ends_where_the_batch_does():
         now = graph.update(now, [*steps[known : loop.j], loop])
         known = loop.j
     np.testing.assert_allclose(now, optimise(T, [*steps, *loops]).xyt, atol=2e-3)
+    assert now.flags.c_contiguous  # as all others that kernels are compiled for
 
 
 @pytest.mark.slow

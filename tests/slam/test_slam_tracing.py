@@ -73,7 +73,8 @@ def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
     rng = np.random.default_rng(5)
     n, beams, res = 3, 7, 0.1
     poses, motion = rng.normal([2.5, 3.0, 0.0], 0.8, (n, 3)), rng.normal(0.0, 0.2, (n, KNOTS, 3))
-    length, returned = rng.uniform(-0.5, 2.5, (n, beams)), rng.random((n, beams)) < 0.6
+    length = rng.uniform(-0.5, 2.5, (n, beams)).astype(np.float32)
+    returned = rng.random((n, beams)) < 0.6
     lidar, T_base_lidar = LidarSpec(beams, -2.0, 4.0 / (beams - 1), 0.1, 8.0), np.array([0.15, -0.08, 0.5])
     for moving in (motion, np.zeros((n, 1, 3))):
         found, expected = Counts.none(50, 60), Counts.none(50, 60)
@@ -86,7 +87,7 @@ def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
                 starts, ways = SE2(poses[k]) @ origins / res, SE2.from_xyt(0.0, 0.0, poses[k, 2]) @ ways
                 for b in range(beams):
                     if length[k, b] > 0.0 and returned[k, b] == with_return:
-                        reach = length[k, b] / res
+                        reach = float(length[k, b]) / res
                         trace(expected, tuple(starts[b]), tuple(ways[b]), reach, with_return, 0.25)
         np.testing.assert_array_equal(found.hits, expected.hits)
         np.testing.assert_array_equal(found.misses, expected.misses)
