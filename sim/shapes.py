@@ -233,7 +233,9 @@ def sections(solids: Sequence[Solid], low: float, high: float | None = None) -> 
 
 def contains(solids: Sequence[Solid], z: float, points: Array) -> Bools:
     """Which points (n, 2) lie strictly inside a solid at height z, (n,)."""
-    inside = np.zeros(len(points), dtype=bool)
+    inside, (x, y) = np.zeros(len(points), dtype=bool), points.T
     for solid in solids:
-        inside |= solid.inside(z, points)
+        x_min, x_max, y_min, y_max = solid.bounds()
+        near = np.flatnonzero((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
+        inside[near] |= solid.inside(z, points[near])
     return inside

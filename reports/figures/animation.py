@@ -74,7 +74,7 @@ class Canvas:
     def pixels(self, xy: Array) -> list[tuple[float, float]]:
         """Pixel positions of points (n, 2) [m]."""
         places = np.stack([(xy[:, 0] - self.x0) * self.scale, (self.y1 - xy[:, 1]) * self.scale], axis=1)
-        return [(float(x), float(y)) for x, y in places]
+        return [(x, y) for x, y in places.tolist()]
 
     def blank(self) -> Image.Image:
         """An enlarged frame of unseen ground, and the empty strip."""

@@ -8,7 +8,7 @@ import pytest
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
-from turtlebag.sim.shapes import as_rectangle, box, prism
+from turtlebag.sim.shapes import as_rectangle, ball, box, contains, cylinder, mesh, prism
 from turtlebag.sim.worlds import load_world, world_names
 
 FACTS = Path(__file__).parents[3] / "shared" / "facts"
@@ -17,6 +17,21 @@ FACTS = Path(__file__).parents[3] / "shared" / "facts"
 @pytest.fixture(scope="module")
 def arena():
     return load_world("turtlebot3_world")
+
+
+def test_points_lie_inside_where_one_of_the_solids_has_them_inside():
+    corners = np.array([[3, -1, 1], [1, -3, 1], [1, -1, -1], [3, -3, -1]], dtype=float)
+    solids = [
+        box("box", (-2.0, 2.0), (1.5, 0.4), 0.7, (0.0, 1.0)),
+        prism("prism", [(0.0, 0.0), (1.0, 0.2), (0.3, 1.1)], (0.0, 1.0)),
+        cylinder("cylinder", (2.0, 2.0), 0.8, (0.0, 1.0)),
+        ball("ball", (-2.0, -2.0, 0.3), 0.9),
+        mesh("mesh", corners[[[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]]),
+    ]
+    points = np.vstack([np.random.default_rng(1).uniform(-3.5, 3.5, (5000, 2)), solids[1].polygon])
+    of_each = [solid.inside(0.2, points) for solid in solids]
+    assert all(30 < inside.sum() < 500 for inside in of_each)
+    np.testing.assert_array_equal(contains(solids, 0.2, points), np.any(of_each, axis=0))
 
 
 def test_arena_has_the_published_geometry(arena):
