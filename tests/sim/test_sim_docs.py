@@ -55,7 +55,8 @@ def test_the_table_of_settings_names_real_keys_and_their_defaults():
     assert all(key in type(getattr(config, part)).model_fields for part, key in rows)
     defaults = LidarConfig()
     assert (defaults.turning, defaults.noise, defaults.sigma, defaults.dropout) == (True, None, None, 0.0)
-    assert f"| `odometry.slip`, `.turn_slip` | by the set | random slip: {REALISTIC_SLIP['slip']} m" in TEXT
+    assert "| `odometry.slip`, `.turn_slip` | by the preset | " in TEXT
+    assert f"standard deviations of {REALISTIC_SLIP['slip']} m" in TEXT
 
 
 def test_the_table_of_errors_names_every_number_and_the_robots_have_them():
