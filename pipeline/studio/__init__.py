@@ -1,1 +1,1 @@
-"""The studio: a robot that a person drives, maps with and sends about, input by input."""
+"""The studio: interactive sessions of a simulated robot, or of a bag, in the browser."""

@@ -1,7 +1,7 @@
-"""Who may talk to the studio: a page of its own, at an address of its own, that knows the token.
+"""Access control: only the studio's own pages, at its own address, with the token.
 
-All others are turned away before anything is looked up: another program on this machine has no token, a page
-of another site has another origin, and a name that was made to point here (DNS rebinding) is no host of ours.
+All other requests are refused before anything is looked up: another program on this machine has no token, a
+page of another site has another origin, and with DNS rebinding the host is not ours.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def listen(host: str, port: int) -> list[socket.socket]:
                 f"--port {port}: in use; choose another, or leave it out for a free one"
             ) from None
         if error.errno == errno.EACCES:
-            raise InputError(f"--port {port}: not allowed; choose one from 1024 on") from None
+            raise InputError(f"--port {port}: permission denied; choose 1024 or higher") from None
         raise InputError(f"--host {host}: {error.strerror}; give an address of this machine") from None
 
 
@@ -135,9 +135,9 @@ class CheckedHandler(RequestHandler):
         """403 for a host, an origin or a token that is not ours."""
         host, origin = self.request.host, self.request.headers.get("Origin")
         if not self._access.is_ours(host):
-            raise HTTPError(403, reason="Not a host of this studio")
+            raise HTTPError(403, reason="Wrong host: open the address that turtlebag studio printed")
         if origin is not None and origin != f"http://{host}":
-            raise HTTPError(403, reason="A page of another site")
+            raise HTTPError(403, reason="Request from a page of another site")
         if self.needs_token and not self._access.knows(self.get_query_argument("token", "")):
             raise HTTPError(403, reason="Wrong token: open the address that turtlebag studio printed")
 

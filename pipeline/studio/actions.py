@@ -1,4 +1,4 @@
-"""What each input does to the robot and its maps: refused in one line, or done whole."""
+"""What each input does to the robot and its maps: refused in one line, or executed in full."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BOX_HEIGHT_M, MOST_BOXES = 0.5, 100
 def map_start(run: Run, action: inputs.Plain) -> str:
     """Begin a new map; one that is loaded is put away."""
     if run.pilot.mapping:
-        raise InputError("map_start: a map is being made already; stop it first")
+        raise InputError("map_start: mapping is already running; stop it first")
     run.end_task("ended: a new map was started")
     _new_map(run)
     return "mapping"
@@ -38,9 +38,9 @@ def map_start(run: Run, action: inputs.Plain) -> str:
 def map_stop(run: Run, action: inputs.Plain) -> str:
     """Add nothing more to the map, which can still be saved."""
     if not run.pilot.mapping:
-        raise InputError("map_stop: no map is being made")
+        raise InputError("map_stop: mapping is not running")
     if run.pilot.task is not None and run.pilot.task.kind == "explore":
-        raise InputError("map_stop: exploring makes this map; cancel that first")
+        raise InputError("map_stop: this map is being explored; cancel explore first")
     run.pilot.mapping = False
     return "mapping stopped"
 
@@ -52,7 +52,7 @@ def map_save(run: Run, action: inputs.Save) -> str:
     library.check_name(action.name)
     if mapper is not None:
         if not mapper.ready:
-            raise InputError("map_save: too little was mapped so far; drive on a little")
+            raise InputError("map_save: the map is still empty; drive on a little")
         grid = mapper.finish()
     if grid is None:
         raise InputError("map_save: there is no map; start mapping and drive, or load one")
@@ -168,7 +168,7 @@ def waypoints_load(run: Run, action: inputs.Load) -> str:
     """Show waypoints."""
     loaded = run.room.library.load_waypoints(action.name)
     run.waypoints = tuple((*waypoint.written, waypoint.wait) for waypoint in loaded)
-    return f"waypoints {action.name or 'of the tutorial'} loaded"
+    return f"waypoints {action.name or 'from the tutorial'} loaded"
 
 
 def kidnap(run: Run, action: inputs.At) -> str:
@@ -181,7 +181,7 @@ def kidnap(run: Run, action: inputs.At) -> str:
 def box(run: Run, action: inputs.DropBox) -> str:
     """Drop a box."""
     if len(run.boxes) >= MOST_BOXES:
-        raise InputError(f"box: there are {MOST_BOXES} already")
+        raise InputError(f"box: the limit of {MOST_BOXES} boxes is reached")
     x, y = action.xy
     run.room.simulator.drop(shapes.box("box", (x, y), (action.size, action.size), 0.0, (0.0, BOX_HEIGHT_M)))
     run.boxes = np.vstack([run.boxes, [x, y, action.size, action.size]])
@@ -195,10 +195,10 @@ def keepout(run: Run, action: inputs.Keepout) -> str:
         costmap = _costmap(run, run.loaded.grid, outlines)
         for number, outline in enumerate(outlines, start=1):
             if not polygon_mask(costmap, outline).any():
-                raise InputError(f"keepout {number}: lies outside the map; draw it on the map")
+                raise InputError(f"keepout {number}: outside the map; draw it on the map")
         run.pilot.keep_out(costmap)
     run.keepout = outlines
-    return f"{number_of(len(outlines), 'place')} to keep out of"
+    return number_of(len(outlines), "keep-out area")
 
 
 ACTIONS: dict[str, Callable[[Run, Any], str]] = {
@@ -241,5 +241,5 @@ def _localised(run: Run, what: str) -> tuple[NavigationDriver, LoadedMap]:
     """The same, for a robot that was told where it is."""
     found = _on_map(run, what)
     if not run.pilot.told:
-        raise InputError(f"{what}: the robot does not know where it is; give a pose estimate first")
+        raise InputError(f"{what}: the robot is not localised; set a pose estimate first")
     return found

@@ -1,4 +1,4 @@
-"""Views as binary messages: to each client what has changed since what it was sent last.
+"""Views as binary messages: each client gets what has changed since its last one.
 
 A message is the length of its header (uint32, little-endian), the header as JSON, padding to 4 bytes, and
 the blobs, each at a multiple of 4 bytes from the first. The header says what they are.

@@ -1,6 +1,6 @@
-"""Everything that a page can ask for: `do` says what, and there is one model for all that need the same said.
+"""The messages of a page, by their `do`; inputs with the same fields share a model.
 
-Inputs are for the session, which `session.yaml` can repeat; controls are for the server: when time passes,
+Inputs go to the session and can be replayed from `session.yaml`; controls go to the server: pace of time,
 what to send, who drives.
 """
 
@@ -191,16 +191,16 @@ def parse_message(message: str | bytes) -> Control | Input:
     Malformed for what no page of ours sends; InputError, in one line, for values that cannot be.
     """
     if not isinstance(message, str):
-        raise Malformed("messages are text")
+        raise Malformed("messages must be text")
     if len(message.encode()) > MESSAGE_BYTES:
-        raise Malformed(f"a message has at most {MESSAGE_BYTES // 1024} KiB")
+        raise Malformed(f"messages are limited to {MESSAGE_BYTES // 1024} KiB")
     try:
         data: Any = json.loads(message)
     except (ValueError, RecursionError):
-        raise Malformed("a message is a JSON object") from None
+        raise Malformed("a message must be a JSON object") from None
     do = data.get("do") if isinstance(data, dict) else None
     if not isinstance(do, str) or do not in (*CONTROLS, *KNOWN):
-        raise Malformed("a message has a `do` that is known here")
+        raise Malformed("a message needs a known `do`")
     if do in KNOWN:
         return parse_input(data, where="page")
     try:

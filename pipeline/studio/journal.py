@@ -1,7 +1,7 @@
-"""`session.yaml`: what a session began with, and every input with its time, a line each.
+"""`session.yaml`: the options of a session, and one line per input with its time.
 
-It extends the format of `takeover.yaml`: speeds asked for by hand are intervals, everything else has a
-time `at`. Lines are only ever appended, one whole line at once, so it can be read at any moment.
+It extends the format of `takeover.yaml`: teleop commands are intervals, everything else has a
+time `at`. Whole lines are appended, never changed, so the file can be read at any moment.
 """
 
 from __future__ import annotations
@@ -85,9 +85,7 @@ def load_session(path: Path) -> Recorded:
             continue
         at_ns, action = _timed(entry, where)
         if at_ns < (actions[-1][0] if actions else 0):
-            raise InputError(
-                f"{where}: at {entry['at']:g} s, which is before the one above; put them in order"
-            )
+            raise InputError(f"{where}: at {entry['at']:g} s, before the previous one; sort them by time")
         if actions and actions[-1][1].do == "end":
             raise InputError(f"{where}: comes after the session's end; remove it")
         until_ns = max(until_ns, at_ns)
@@ -107,7 +105,7 @@ def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Input | None]:
         return at_ns, None
     action = parse_input(rest, where)
     if action.do in DRIVING:
-        raise InputError(f"{where}: {action.do}: is written as an interval with begin, end, v and w")
+        raise InputError(f"{where}: {action.do}: write it as an interval with begin, end, v and w")
     return at_ns, action
 
 

@@ -1,4 +1,4 @@
-"""What a session saves and loads by name: maps with the places to keep out of, and waypoints."""
+"""Files that a session saves and loads by name: maps with keep-out areas, and waypoints."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Library:
     def check_name(self, name: str) -> None:
         """InputError for a name that no map can have."""
         if name.endswith(KEEPOUT):
-            raise InputError(f"map {name}: names that end in {KEEPOUT} are taken; choose another name")
+            raise InputError(f"map {name}: names ending in {KEEPOUT} are reserved; choose another name")
 
     def save_map(self, name: str, grid: OccupancyGrid, keepout: Sequence[Array]) -> None:
         """Write `maps/NAME.pgm` and `.yaml` and, with places to keep out of, `NAME-keepout.yaml`."""

@@ -1,4 +1,4 @@
-"""The pose graph as it is drawn, and two scans of a loop laid on each other."""
+"""The pose graph for display, and the two scans of a loop overlaid."""
 
 from __future__ import annotations
 
@@ -43,14 +43,12 @@ class ShownGraph:
         i, j = (self._key(number) for number in (scan, place))
         T_map_keys = SE2(self.graph.nodes)
         T_j_i = T_map_keys[j].inverse() @ T_map_keys[i]
-        told = "no loop joins these scans"
+        told = "no loop between these scans"
         for loop in self.loops:
             if (loop.i, loop.j) == (i, j):
                 measured, told = SE2(loop.T_j_i), loop.told
                 off = (measured.inverse() @ T_j_i).xyt
-                left = (
-                    f"{np.hypot(off[0], off[1]):.3f} m, {np.rad2deg(abs(off[2])):.2f} deg left in the graph"
-                )
+                left = f"{np.hypot(off[0], off[1]):.3f} m, {np.rad2deg(abs(off[2])):.2f} deg residual"
                 T_j_i, told = measured, f"{told}; {left}"
         laid = T_map_keys[j] @ T_j_i @ points_of(log, scan)
         return LoopMarks(scan, place, laid, T_map_keys[j] @ points_of(log, place), told)
@@ -68,7 +66,7 @@ def graph_of(result: SlamResult) -> ShownGraph:
     for loop in result.loops:
         if loop.accepted:
             told = f"found by distance: score {loop.score:.2f}, overlap {loop.overlap:.2f}"
-            loops.append(ShownLoop(loop.i, loop.j, loop.T_j_i, f"{told}, {loop.rmse * 1e3:.0f} mm off lines"))
+            loops.append(ShownLoop(loop.i, loop.j, loop.T_j_i, f"{told}, {loop.rmse * 1e3:.0f} mm RMSE"))
     for place in result.recognised:
         if place.verdict == "accepted":
             told = (

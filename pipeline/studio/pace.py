@@ -1,4 +1,4 @@
-"""How simulated time passes beside the wall's: when the next tick is due, and how fast ticks come."""
+"""Simulated time against wall-clock time: when the next tick is due, and the speed reached."""
 
 from __future__ import annotations
 

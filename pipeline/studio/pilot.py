@@ -1,6 +1,6 @@
-"""The robot's side of a session: it localises, maps, and does what it was told, all at once.
+"""The robot's software in a session: it localises, maps and runs a task, all at once.
 
-What it can be told to do is a driver each of those of a run, and one more that turns to and fro.
+Tasks are the drivers of `navigate`, and one more that turns back and forth (wiggle).
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Pilot(Driver):
 
     @property
     def told(self) -> bool:
-        """Whether the robot was told where it is, or to find out."""
+        """Whether a pose estimate was set or global localisation started."""
         return self.localiser is not None and self.localiser.amcl.initialised
 
     def load(self, grid: OccupancyGrid, costmap: Costmap, now_ns: int) -> None:

@@ -138,7 +138,7 @@ class Playback(Sitting):
             return self._add(entry)
         if isinstance(entry, inputs.Scans):
             return self._show(entry) if entry.do == "loop_show" else self._reject(entry)
-        raise InputError(f"{entry.do}: there is no robot to do that; a bag is being played")
+        raise InputError(f"{entry.do}: not possible while a bag is played; there is no robot")
 
     def _plain(self, do: str) -> str:
         match do:
@@ -157,7 +157,7 @@ class Playback(Sitting):
             case "end":
                 self.ended = True
                 return "the session is over"
-        raise InputError(f"{do}: there is no robot to do that; a bag is being played")
+        raise InputError(f"{do}: not possible while a bag is played; there is no robot")
 
     # Where in the bag
 
@@ -193,9 +193,9 @@ class Playback(Sitting):
 
     def _map_start(self) -> str:
         if self._online is not None:
-            raise InputError("map_start: the bag is being mapped already")
+            raise InputError("map_start: mapping is already running")
         if self.idle:
-            raise InputError("map_start: the bag is at its end; go back first")
+            raise InputError("map_start: end of the bag; go back first")
         mapper, first = Mapper(self._log.lidar, self._log.T_base_lidar), self._scan + 1
         self._online = Online(mapper, first, heard(self._log, first))
         self._drawn = self._loop = None
@@ -204,7 +204,7 @@ class Playback(Sitting):
 
     def _map_stop(self) -> str:
         if self._online is None:
-            raise InputError("map_stop: no map is being made")
+            raise InputError("map_stop: mapping is not running")
         self._draw()
         self._online = None
         return "mapping stopped"
@@ -225,7 +225,7 @@ class Playback(Sitting):
     def _build(self) -> str:
         """Map the whole bag, with the loop edits."""
         if self._built is not None and self._built.edits == self._edits and self._drawn is self._built:
-            return "the map of the whole bag is shown already"
+            return "the map of the whole bag is already shown"
         try:
             result = run_slam(self._log, SlamConfig(), self._until_interrupted, edits=self._edits)
         except InputError as error:
@@ -258,7 +258,7 @@ class Playback(Sitting):
 
     def _show(self, action: inputs.Scans) -> str:
         if self._drawn is None:
-            raise InputError("loop_show: there is no graph yet; map the bag first")
+            raise InputError("loop_show: no graph yet; map the bag first")
         self._loop = self._drawn.graph.laid(self._log, action.scan, action.place)
         return ""
 

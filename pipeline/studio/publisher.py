@@ -1,4 +1,4 @@
-"""Where drivers publish: to the bag that is open, if one is, and to whoever draws."""
+"""Where drivers publish: to the open bag, if there is one, and to the display."""
 
 from __future__ import annotations
 

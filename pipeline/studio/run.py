@@ -1,4 +1,4 @@
-"""The robot of a session from its start, or from the last reset on."""
+"""The robot of a session since its start or last reset."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Run:
         if task is not None and task.driver.finished:
             self._task_over(task)
         elif task is not None and observation.stamp_ns >= task.end_ns:
-            self.end_task("cancelled: it took too long")
+            self.end_task("cancelled: timed out")
         self.observation = room.simulator.step(self.command)
 
     def begin(self, task: Task) -> None:

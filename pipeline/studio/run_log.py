@@ -1,6 +1,6 @@
-"""What a session leaves behind besides its bags: run log and trajectories, written as it goes on.
+"""Run log and trajectories of a session, written while it runs.
 
-Together with the view it is the only place of the studio that sees the truth.
+Apart from the view, this is the only module of the studio that sees ground truth.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The studio's server: pages and sockets in the event loop, the session in a thread of its own."""
+"""The studio's server: pages and sockets in the event loop, the session in its own thread."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Studio:
     def join(self, viewer: Viewer) -> None:
         """Somebody has opened the page; who comes while nobody drives, drives."""
         if len(self._viewers) >= MOST_VIEWERS:
-            viewer.part(TRY_LATER, f"{MOST_VIEWERS} pages are open already: close one")
+            viewer.part(TRY_LATER, f"{MOST_VIEWERS} pages are already open: close one")
             return
         self._viewers.append(viewer)
         self._driver = self._driver or viewer

@@ -1,4 +1,4 @@
-"""A session of the simulated robot: what a person asks of it, and what there is to see of it."""
+"""A session of the simulated robot: inputs in, views out."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class Session(Sitting):
             raise InputError(f"record: {self._bag[0]} is being recorded; stop it first")
         setup, publisher, folder = self.setup, self._room.publisher, self._folder / "bags" / name
         if folder.exists():
-            raise InputError(f"record: there is a bag {name} already; choose another name")
+            raise InputError(f"record: a bag {name} already exists; choose another name")
         custom = {
             "seed": str(setup.seed),
             "config_sha256": sha256_text(config_text(setup.config)),

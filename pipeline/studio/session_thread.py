@@ -1,7 +1,7 @@
-"""Runs a session against the wall clock, in a thread of its own.
+"""Runs a session against the wall clock, in its own thread.
 
-The session belongs to that thread: whatever is asked of it goes through one queue, and what comes back is a
-view, which nobody changes. So nothing is locked, and the event loop answers while the session computes.
+The session belongs to that thread: all requests go through one queue, and the answers are immutable
+views. So no locks are needed, and the event loop answers while the session computes.
 """
 
 from __future__ import annotations

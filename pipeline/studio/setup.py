@@ -1,4 +1,4 @@
-"""What a session begins with."""
+"""The options of a session: world, robot, map and seed, or a bag."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def setup_of(header: Header | BagHeader, where: Path) -> StudioSetup | BagSetup:
     if isinstance(header, BagHeader):
         bag = BagSetup(Path(header.bag))
         if not bag.bag.exists() or bag.header().sha256 != header.sha256:
-            raise InputError(f"{where}: bag {header.bag}: is not the one that the session played")
+            raise InputError(f"{where}: bag {header.bag}: has changed since the session; use the original")
         return bag
     path = None if header.map is None else Path(header.map)
     setup = StudioSetup(header.world, header.robot, header.seed, path, header.sim)
@@ -138,5 +138,5 @@ def setup_of(header: Header | BagHeader, where: Path) -> StudioSetup | BagSetup:
     for kind, sha256 in header.sha256.items():
         if sha256 != now.get(kind):
             name = setup.files.get(kind, kind)
-            raise InputError(f"{where}: {kind} {name}: is not the file that the session was driven with")
+            raise InputError(f"{where}: {kind} {name}: has changed since the session; use the original file")
     return setup

@@ -1,4 +1,4 @@
-"""What a simulated session and the playing of a bag have in common: inputs are done, noted down and told."""
+"""Base of simulated sessions and bag playback: inputs are executed, written to the journal and announced."""
 
 from __future__ import annotations
 

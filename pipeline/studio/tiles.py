@@ -1,4 +1,4 @@
-"""Grids in tiles: which of them a client lacks."""
+"""Grids in tiles: which of them a client does not have yet."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """What there is to draw of a session at one instant.
 
-Nothing in a view is changed afterwards: an array, layer or tuple that is the same object as in the view
-before has not changed, and one that has changed is another object.
+Views are immutable: an array, layer or tuple that is the same object as in the previous view has not
+changed, and anything changed is a new object.
 """
 
 from __future__ import annotations

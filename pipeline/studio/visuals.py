@@ -1,4 +1,4 @@
-"""Turns a session into views: what is drawn is worked out here, and only what has changed."""
+"""Turns a session into views, computing only what has changed."""
 
 from __future__ import annotations
 

@@ -108,9 +108,9 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
         (HEAD + "inputs:\n- {at: -1, do: avoid}\n", "input 1: at: must be 0 to"),
         (HEAD + "inputs:\n- {at: .nan, do: avoid}\n", "input 1: at: must be 0 to"),
         (HEAD + "inputs:\n- {at: 1, do: dance}\n", "input 1: 'dance' is no input"),
-        (HEAD + "inputs:\n- {at: 1, do: drive, v: 1}\n", "input 1: drive: is written as an interval"),
+        (HEAD + "inputs:\n- {at: 1, do: drive, v: 1}\n", "input 1: drive: write it as an interval"),
         (HEAD + "inputs:\n- {at: 1, do: goal, pose: [0, 0]}\n", "input 1: goal: pose.2"),
-        (HEAD + "inputs:\n- {at: 2, do: avoid}\n- {at: 1, do: cancel}\n", "input 2: at 1 s, which is before"),
+        (HEAD + "inputs:\n- {at: 2, do: avoid}\n- {at: 1, do: cancel}\n", "input 2: at 1 s, before the previous one"),
         (HEAD + "inputs:\n- {at: 2, do: end}\n- {at: 3, do: avoid}\n", "input 2: comes after"),
         (HEAD + "inputs:\n- {begin: 2, end: 1}\n", "input 1"),
         (HEAD + "inputs:\n- {begin: 2, end: 1.0e+8}\n", "input 1: end: must be at most"),
@@ -119,7 +119,7 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
         (HEAD.replace("empty", "nowhere"), "unknown world 'nowhere'"),
         (HEAD.replace("burger", "bulldozer"), "bulldozer"),
         (HEAD + "map: nowhere.yaml\n", "nowhere.yaml"),
-        (HEAD + "sha256: {map: abc}\n", "is not the file that the session was driven with"),
+        (HEAD + "sha256: {map: abc}\n", "has changed since the session"),
         (
             HEAD + "inputs:\n- {at: 0.2, do: patrol, waypoints: [{pose: [0, 0, 0]}]}\n",
             "at 0.2 s: patrol: needs a map",
@@ -165,7 +165,7 @@ def test_a_map_or_world_that_has_changed_is_refused(tmp_path):
     for changed in (tmp_path / "room.pgm", world):
         before = changed.read_bytes()
         changed.write_bytes(before + b"\n")
-        with pytest.raises(InputError, match="is not the file that the session was driven with"):
+        with pytest.raises(InputError, match="has changed since the session"):
             replay(tmp_path / "live/session.yaml", Output(tmp_path / "third"), say=silent)
         changed.write_bytes(before)
     path.unlink()

@@ -64,7 +64,7 @@ def refused(person, do, **fields):
         ("map_load", {}, "no map was given at the start"),
         ("map_save", {"name": "a"}, "there is no map"),
         ("map_save", {"name": "a-keepout"}, "choose another name"),
-        ("map_stop", {}, "no map is being made"),
+        ("map_stop", {}, "mapping is not running"),
         ("waypoints_load", {"name": "nowhere"}, "no such file"),
         ("record_stop", {}, "nothing is being recorded"),
         ("cancel", {}, "there is no task to cancel"),
@@ -80,7 +80,7 @@ def test_without_a_map(without_map, do, fields, said):
 def test_with_a_map_but_no_pose(with_map):
     for do in ("goal", "wiggle"):
         fields = {"pose": [1, 0, 0]} if do == "goal" else {}
-        assert "give a pose estimate first" in refused(with_map, do, **fields)
+        assert "set a pose estimate first" in refused(with_map, do, **fields)
     assert "off the map" in refused(with_map, "pose_estimate", pose=[30, 0, 0])
 
 
@@ -107,7 +107,7 @@ def test_a_bag_at_a_time_and_a_name_only_once(without_map):
 
 def test_too_little_mapped(without_map):
     without_map.do("map_start")
-    assert "is being made already" in refused(without_map, "map_start")
+    assert "mapping is already running" in refused(without_map, "map_start")
     assert "drive on a little" in refused(without_map, "map_save", name="early")
     without_map.do("map_stop")
 

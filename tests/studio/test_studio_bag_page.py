@@ -74,7 +74,7 @@ def test_a_loop_is_looked_at_rejected_and_made_by_hand(bag_page, playback, tmp_p
     drag(bag_page, *on_screen(bag_page, middle.tolist()))
     until(lambda: playback.view().bag.loop is not None)
     loop = playback.view().bag.loop
-    until(lambda: f"Scan {loop.scan} at scan {loop.place}" in shown_text(bag_page, "told"))
+    until(lambda: f"Scan {loop.scan} on scan {loop.place}" in shown_text(bag_page, "told"))
     click(bag_page, "#reject")
     until(lambda: playback.view().bag.edits == (("reject", loop.scan, loop.place),))
     until(lambda: "are kept apart" in shown_text(bag_page, "edits"))

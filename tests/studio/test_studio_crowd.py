@@ -39,7 +39,7 @@ def test_two_hundred_connections_and_sixteen_of_them_watch(served):
             return client.picture.bye
 
         said = await asyncio.gather(*map(watch, clients))
-        assert Counter(said) == {None: 16, "16 pages are open already: close one": 184}
+        assert Counter(said) == {None: 16, "16 pages are already open: close one": 184}
         for client in clients:
             client.close()
         for stream in idle:

@@ -166,7 +166,7 @@ def test_avoiding_in_the_house_shows_the_sectors_and_the_decision(browser, tmp_p
         until(lambda: math.dist(person.head["true_pose"][:2], start[:2]) > 1.0, 60.0)
         until(lambda: "veer" in shown_text(browser, "sectors"), 60.0)
         browser.key("w", 3)
-        until(lambda: shown_text(browser, "state") == "Avoid: driven by hand")
+        until(lambda: shown_text(browser, "state") == "Avoid: teleop")
         browser.key("q")
         until(lambda: person.head["owner"] == "navigation")
         click(browser, "#cancel")

@@ -45,9 +45,9 @@ function fromSegment([px, py], [ax, ay], [bx, by]) {
 /** What to do first, or next. */
 export function bagAdvice({ mapping, state }) {
   if (mapping) return "";
-  if (state === "at its end" && !scene.blobs.graph_nodes?.length) return "The bag is at its end: go back with the bar below, or map all of it at once.";
-  if (!scene.blobs.graph_nodes?.length) return "Start mapping to map the bag while it plays, or map all of it at once.";
-  return state === "playing" ? "" : "Choose Loops and click a loop: its two scans are laid on each other.";
+  if (state === "at its end" && !scene.blobs.graph_nodes?.length) return "End of the bag: go back with the bar below, or map the whole bag.";
+  if (!scene.blobs.graph_nodes?.length) return "Start mapping to map the bag while it plays, or map the whole bag at once.";
+  return state === "playing" ? "" : "Choose Loops and click a loop to overlay its two scans.";
 }
 
 /** Words and states of the bag's controls, after each frame. */
@@ -58,7 +58,7 @@ export function showBag(head) {
   if (!held) put(byId("time"), "value", String(bag.position));
   put(byId("when"), "textContent", `${bag.position.toFixed(1)} of ${bag.duration.toFixed(1)} s`);
   const { loop } = bag;
-  put(byId("told"), "textContent", loop ? `Scan ${loop.scan} at scan ${loop.place}: ${loop.told}.` : "No loop selected.");
+  put(byId("told"), "textContent", loop ? `Scan ${loop.scan} on scan ${loop.place}: ${loop.told}.` : "No loop selected.");
   put(byId("reject"), "disabled", !loop);
   const list = byId("edits"), told = JSON.stringify(bag.edits);
   if (list.dataset.told === told) return;

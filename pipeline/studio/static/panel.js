@@ -21,11 +21,11 @@ const mapped = () => scene.grids.map?.w > 1;
 /** What to do first, or next. */
 function advice({ map, mapping, localised, lost, task, goals, cmd }) {
   if (task) return "";
-  if (mapping) return cmd.some(Boolean) ? "" : "Drive with W A S D: the map grows with what the robot sees. Save it when it is whole.";
-  if (map == null && mapped()) return "Save the map and load it: then the robot can find its place on it and go where you point.";
+  if (mapping) return cmd.some(Boolean) ? "" : "Drive with W A S D: the map grows with what the robot sees. Save it when it is complete.";
+  if (map == null && mapped()) return "Save the map and load it: then the robot can localise on it and drive to goals.";
   if (map == null) return "No map yet. Start mapping, then drive with W A S D.";
-  if (!localised) return "Where is the robot? Choose Pose, press where it stands and drag to where it looks.";
-  if (lost) return `Not sure of its place: ${lost}. Wiggle, or give it a better pose.`;
+  if (!localised) return "Where is the robot? Choose Pose, press where it stands and drag in the direction it faces.";
+  if (lost) return `Poorly localised: ${lost}. Wiggle, or set a better pose.`;
   return goals.length ? "" : "Choose Goal, press on the map and drag for the heading; or click waypoints and patrol.";
 }
 
@@ -44,12 +44,12 @@ function options(select, names, empty) {
 export function show(head, deskName) {
   text("clock", `${head.t.toFixed(1)} s`);
   text("factor", head.paused ? "paused" : `${head.factor.toFixed(head.factor < 10 ? 2 : 0)}×`);
-  const doing = head.owner === "teleop" ? "driven by hand" : head.state;
+  const doing = head.owner === "teleop" ? "teleop" : head.state;
   text("state", capital([head.task, doing !== head.task && doing].filter(Boolean).join(": ")));
   put(byId("pause"), "textContent", head.paused ? "Resume" : "Pause");
   put(byId("pause"), "ariaPressed", String(head.paused));
   if (document.activeElement !== byId("speed")) put(byId("speed"), "value", String(head.asked));
-  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.lost, "bad", "Not sure"], [head.busy, "busy", busyWith(head.busy)]]);
+  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.lost, "bad", "Poorly localised"], [head.busy, "busy", busyWith(head.busy)]]);
   text("mapping", head.mapping ? "Stop mapping" : "Start mapping");
   put(byId("mapping"), "disabled", bagged() && head.state === "at its end" && !head.mapping);
   put(byId("mapping").dataset, "on", String(head.mapping));
@@ -61,7 +61,7 @@ export function show(head, deskName) {
     if (head.recording == null && bag.dataset.last) bag.elements[0].value = following(bag.dataset.last);
     bag.dataset.last = head.recording ?? "";
   }
-  options(byId("maps"), head.maps ?? [], "the one given");
+  options(byId("maps"), head.maps ?? [], "the initial map");
   options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's");
   put(byId("sure"), "value", head.lost ? 0 : head.sure ?? 0);
   text("place", placeOf(head));
@@ -87,7 +87,7 @@ const busyWith = (what) => what === "tick" ? "Computing …" : `Busy: ${what?.re
 
 function placeOf({ map, localised, sure, lost, mapping }) {
   if (lost) return lost;
-  if (sure != null) return `${Math.round(100 * sure)} % of the scan fits`;
+  if (sure != null) return `${Math.round(100 * sure)} % of the scan fits the map`;
   if (mapping) return "on the growing map";
   return map == null ? "no map" : localised ? "on the map" : "no pose yet";
 }
@@ -140,5 +140,5 @@ export function keepouts(send) {
       send({ do: "keepout", outlines: scene.keepouts.filter((_, other) => other !== k) })));
     return row;
   });
-  refill(byId("keepouts"), rows, "None. Choose Keep out and click the corners of one; Save map keeps it.");
+  refill(byId("keepouts"), rows, "None. Choose Keep out and click the corners of an area; Save map saves it too.");
 }

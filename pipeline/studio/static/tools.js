@@ -34,14 +34,14 @@ const TOOLS = {
   view: { hint: "" },
   pose: {
     ...arrow((desk, pose) => pose && desk.send({ do: "pose_estimate", pose }), heading),
-    hint: "2D Pose Estimate: press where the robot is, drag to where it looks, release.",
+    hint: "2D Pose Estimate: press where the robot is, drag in the direction it faces, release.",
   },
   goal: {
     ...arrow((desk, pose) => pose && desk.send({ do: "goal", pose }), ahead),
-    hint: "2D Nav Goal: press where it should go, drag to where it should look, release.",
+    hint: "2D Nav Goal: press where the robot should go, drag for the heading, release.",
   },
   point: {
-    hint: "Publish Point: a click copies x, y.",
+    hint: "Publish Point: click to copy x, y.",
     form: "x, y",
     press() {},
     move() {},
@@ -75,7 +75,7 @@ const TOOLS = {
     typed(desk, text) { const pose = numbers(text, 3); if (pose) desk.waypoints.add(pose); return pose; },
   },
   keepout: {
-    hint: "Keep-out: click its corners, then the first one again. Backspace takes one back.",
+    hint: "Keep-out: click its corners, then the first one again. Backspace removes the last.",
     form: "x, y, x, y, x, y, ...",
     outline: [],
     press() {},
@@ -104,7 +104,7 @@ const TOOLS = {
     },
   },
   box: {
-    hint: "Box: a click drops one on the floor.",
+    hint: "Box: click to drop one on the floor.",
     form: "x, y",
     press() {},
     move() {},
@@ -112,23 +112,23 @@ const TOOLS = {
     typed(desk, text) { const xy = numbers(text, 2); return xy && desk.send({ do: "box", xy, size: desk.size() }); },
   },
   loop: {
-    hint: "Loops: click one, and its two scans are laid on each other.",
+    hint: "Loops: click one to overlay its two scans.",
     form: "scan, place",
     press() {},
     move() {},
     release(desk, at, pixel) {
       const found = loopAt(pixel);
       if (found) desk.send({ do: "loop_show", ...found });
-      else desk.refuse("There is no loop: click on one of the lines that join two parts of the path.");
+      else desk.refuse("No loop here: click on a line between two parts of the path.");
     },
     typed(desk, text) { const [scan, place] = numbers(text, 2) ?? []; return place !== undefined && desk.send({ do: "loop_show", scan, place }); },
   },
   join: {
-    hint: "Join: press on a node of the graph and drag it to the node of the same place on another visit.",
+    hint: "Join: drag a node of the graph onto a node of the same place on another visit.",
     form: "scan, place, x, y, heading",
     press(desk, at, pixel) {
       this.node = nodeAt(pixel);
-      if (this.node < 0) desk.refuse("There is no node: press on one of the dots of the path.");
+      if (this.node < 0) desk.refuse("No node here: press on one of the dots of the path.");
     },
     move(desk, at) { if (this.node >= 0) desk.doing = { arrow: [...at, nodePose(this.node)[2]] }; },
     release(desk, at, pixel) {
@@ -143,7 +143,7 @@ const TOOLS = {
     },
   },
   carry: {
-    hint: "Carry the robot off: drag it to another place; or press, drag for the heading, release.",
+    hint: "Carry: drag the robot to another place; or press, drag for the heading, release.",
     form: "x, y, heading",
     press(desk, at, pixel) {
       this.from = at;
