@@ -189,10 +189,10 @@ def _in_metres(values: Array, stamps: Stamps, notes: list[str]) -> Array:
     """The readings and poses of `_on_one_grid` in metres, where a program wrote millimetres."""
     scale = np.ones(values.shape[1])
     if ranges_in_millimetres(values[:: 1 + len(values) // 200, :-6], FAR):
-        notes.append("the readings are longer than any lidar's; read as millimetres")
+        notes.append("the readings exceed any lidar's range; read as millimetres")
         scale[:-6] = 1e-3
     if driven_in_millimetres(stamps, values[:, -3:-1]):
-        notes.append("the robot would be faster than any; its poses read as millimetres")
+        notes.append("the robot would be implausibly fast; its poses read as millimetres")
         scale[[-6, -5, -3, -2]] = 1e-3
     return values if (scale == 1.0).all() else values * scale
 

@@ -59,7 +59,7 @@ def signatures(path: Path) -> dict[Path, Signature]:
         elif not (stat.S_ISDIR(status.st_mode) or stat.S_ISSOCK(status.st_mode)):
             raise InputError(f"{file}: is a pipe or a device; give a plain file")
         if len(found) > _MOST_FILES:
-            raise InputError(f"{path}: holds more than {_MOST_FILES} files; name the folder that is meant")
+            raise InputError(f"{path}: contains more than {_MOST_FILES} files; name the right folder")
     return found
 
 
@@ -244,7 +244,7 @@ def _unpack(path: Path, packed: bytes, kind: str) -> tuple[bytes, str | None]:
         if not packed.startswith((b"\x1f\x8b", b"BZh"), start):
             break  # the end, or padding after the last stream
     if not content:
-        raise InputError(f"{path}: damaged {kind} file, nothing could be unpacked; fetch it again")
+        raise InputError(f"{path}: damaged {kind} file, nothing could be unpacked; download it again")
     return bytes(content), problem
 
 

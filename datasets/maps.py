@@ -92,7 +92,7 @@ def _read_yaml(path: Path) -> MapYaml:
         raise InputError(f"{path}: no such map file (expected a map yaml)")
     meta = load_model(MapYaml, path)
     if not all(math.isfinite(value) and abs(value) < 1e7 for value in meta.origin):
-        raise InputError(f"{path}: origin must be three finite numbers, none farther than any place on Earth")
+        raise InputError(f"{path}: origin must be three finite numbers, none implausibly far away")
     return meta
 
 

@@ -71,7 +71,7 @@ class OutputLock:
         With `save_bag` bags that were left are not removed but set aside, to be recovered; so is a session.
         """
         if self.growing:
-            raise InputError(f"{self.out}: is being written already")
+            raise InputError(f"{self.out}: is already being written")
         if save_bag and any(next(self.partial.glob(left), None) for left in WORTH_SAVING):
             self._set_aside()
         self.growing = True
@@ -162,7 +162,7 @@ class OutputLock:
         close(self._folder)
         self._folder = self._acquired()
         if (aside / SESSION).exists():
-            what, how = "session", f"`turtlebag studio --replay {aside / SESSION} --out DIR` drives it again"
+            what, how = "session", f"`turtlebag studio --replay {aside / SESSION} --out DIR` replays it"
         else:
             what, how = "recording", f"`turtlebag bag recover {aside} --out DIR` saves it"
         logging.getLogger("turtlebag").warning("an unfinished %s is now %s; %s", what, aside, how)

@@ -57,7 +57,7 @@ def require_apart(out: Path, place: Path, path: Path) -> None:
         raise InputError(f"--out {out}: {where} the input {path}; choose another --out")
     writes = identity(place)
     if writes and writes in lineage(path):
-        raise InputError(f"--out {out}: holds the input {path}; choose another --out")
+        raise InputError(f"--out {out}: contains the input {path}; choose another --out")
 
 
 def lineage(path: Path) -> list[tuple[int, int] | None]:
@@ -79,12 +79,12 @@ def _require_our_folder(out: Path, place: Path) -> None:
     home = Path(os.path.expanduser("~"))
     for special, name in ((home, "your home"), (Path.cwd(), "the current folder")):
         if identity(place) in lineage(special):
-            raise InputError(f"{out}: is {name} or holds it; --force does not replace it")
+            raise InputError(f"{out}: is or contains {name}; --force does not replace it")
     if os.path.ismount(place):
         raise InputError(f"{out}: is a mount point; --force does not replace it")
     if any(place.iterdir()) and not is_output(place):
         raise InputError(
-            f"{out}: holds files that are not an output of turtlebag (no manifest.json of ours); "
+            f"{out}: contains files that are not an output of turtlebag (no manifest.json of ours); "
             "--force does not remove them"
         )
 

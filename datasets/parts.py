@@ -93,7 +93,7 @@ def require_attributes(part: object, contract: type) -> None:
     named = [key for key, value in vars(contract).items() if isinstance(value, property)]
     for key in [*named, *inspect.get_annotations(contract)]:
         if inspect.getattr_static(part, key, _found) is _found:
-            raise InputError(f"{_label(type(part))}: has no {key}, which a {contract.__name__} has")
+            raise InputError(f"{_label(type(part))}: has no {key}, which {contract.__name__} requires")
 
 
 def name_of(part: type) -> str:
@@ -117,7 +117,7 @@ def source_files(names: Mapping[str, str | None]) -> dict[str, Path]:
         if name is not None and name in _found:
             _, file, before = _found[name]
             if signatures(file) != before:
-                raise InputError(f"{name}: {file} has changed since it was imported; run it again")
+                raise InputError(f"{name}: {file} has changed since it was imported; run the command again")
             files[kind] = _from_here(file)
     return files
 

@@ -44,4 +44,4 @@ def read_ply(path: Path) -> Array:
         vertices = np.frombuffer(data, layout, count, end + len(b"end_header\n"))
         return np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     except (StopIteration, KeyError, IndexError, ValueError):
-        raise InputError(f"{path}: a PLY file without points x, y, z, or cut off") from None
+        raise InputError(f"{path}: no points x, y, z in this PLY file, or it is truncated") from None

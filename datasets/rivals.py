@@ -55,9 +55,9 @@ class RivalFiles:
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):
-            raise InputError(f"{self.name}: a rival's name has letters, digits, - and _ only")
+            raise InputError(f"{self.name}: names of other systems may have only letters, digits, - and _")
         if self.name in (OURS, TRUTH):
-            raise InputError(f"{self.name}: this name is taken; give the rival another")
+            raise InputError(f"{self.name}: this name is taken; give this system another")
         if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
             raise InputError(f"{self.name} has no trajectory")
         for what, path in self.paths.items():
@@ -108,7 +108,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
     shift_ns = round(files.shift_s * 1e9)
     track = replace(read, stamps_ns=read.stamps_ns + shift_ns).in_time()
     if shift_ns:
-        notes.append(f"Its stamps were shifted by {files.shift_s:g} s, as asked for.")
+        notes.append(f"Its stamps were shifted by {files.shift_s:g} s, as requested.")
     if len(track) < len(read):
         notes.append(f"{len(read) - len(track)} of its poses repeat a stamp and were left out.")
     if _looks_through_a_camera(track):

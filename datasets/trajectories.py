@@ -120,7 +120,7 @@ class NumberLines:
             try:
                 stamps.append(stamp_from_text(words[column]))
             except (ValueError, OverflowError):
-                raise self.wrong(index, f"{words[column]} is no time in seconds") from None
+                raise self.wrong(index, f"{words[column]} is not a time in seconds") from None
         return np.array(stamps, dtype=np.int64)
 
 

@@ -76,7 +76,7 @@ def _check_places(lines: NumberLines, xyz: Array) -> None:
     """Beyond these, squares of distances are no numbers any more."""
     far = np.flatnonzero(np.abs(xyz).max(axis=1) > FAR_M)
     if len(far):
-        raise lines.wrong(int(far[0]), "its position is farther than any place on Earth")
+        raise lines.wrong(int(far[0]), "its position is implausibly far away")
 
 
 def _poses(lines: NumberLines, xyz: Array, q: Array) -> Array:
@@ -102,7 +102,7 @@ def _kitti(lines: NumberLines) -> Array:
     off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((off > 0.05) | (np.linalg.det(R) < 0.0))
     if len(bad):
-        raise lines.wrong(int(bad[0]), "not a pose, its 3 x 3 part is no rotation")
+        raise lines.wrong(int(bad[0]), "not a pose, its 3 x 3 part is not a rotation")
     return T
 
 
@@ -112,7 +112,7 @@ def _kitti_stamps(poses: NumberLines, times: Path | None, scans_ns: Stamps) -> S
         if count == len(scans_ns):
             return scans_ns
         raise InputError(
-            f"{path}: KITTI poses have no times, and {count} poses cannot be those of {len(scans_ns)} scans; "
+            f"{path}: KITTI poses have no times, and {count} poses do not match {len(scans_ns)} scans; "
             "give their times (seconds, one a line) by --rival-times"
         )
     lines = NumberLines.read(times)
@@ -132,8 +132,6 @@ def _nanoseconds(lines: NumberLines) -> Stamps:
         except ValueError:
             stamp = math.nan
         if stamp != stamp or stamp != int(stamp) or abs(stamp) >= 2**62:
-            raise lines.wrong(
-                index, f"{word} is no whole number of nanoseconds, which a EuRoC csv begins with"
-            )
+            raise lines.wrong(index, f"expected a whole number of nanoseconds (EuRoC csv), not {word}")
         stamps.append(int(stamp))
     return np.array(stamps, dtype=np.int64)

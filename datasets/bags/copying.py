@@ -52,7 +52,7 @@ def store_of(topic: Topic, *, ros2_header: bool) -> Typestore:
         reason = " ".join(str(error).split())[:80]
         raise Untranslatable(f"{topic.name}: {topic.msgtype} ({reason})") from None
     if topic.msgtype not in store.fielddefs:
-        raise Untranslatable(f"{topic.name}: the definition of {topic.msgtype} is not known")
+        raise Untranslatable(f"{topic.name}: unknown message definition of {topic.msgtype}")
     return store
 
 

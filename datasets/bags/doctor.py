@@ -131,7 +131,7 @@ def _connections(found: Survey) -> Iterator[Finding]:
             if frame != base and frames.fixed and frames.lookup(base, frame) is None:
                 what = f"{topic.topic.name}: its frame '{frame}' is not connected to '{base}'"
                 breaks = (
-                    "the laser's place on the robot is unknown: every scan is dropped by tf2 message "
+                    "the laser's position on the robot is unknown: every scan is dropped by tf2 message "
                     "filters, viewers stay blank; --laser X,Y,YAW sets it here"
                 )
                 yield Finding("error", "frames do not connect", what, breaks)
@@ -161,7 +161,7 @@ def _scans(found: Survey) -> Iterator[Finding]:
         elif increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
             steps = round((angle_max - angle_min) / increment) + 1
             what = f"{name}: {n} readings, but angle_min, angle_max and the increment imply {steps}"
-            breaks = "slam_toolbox and Karto refuse such scans, others put each beam a little off"
+            breaks = "slam_toolbox and Karto refuse such scans, others shift each beam a little"
             yield Finding("warning", "fence-post", what, breaks)
         sizes = sorted({size for _, size in scans.geometries})
         if len(sizes) > 1:
@@ -173,7 +173,7 @@ def _scans(found: Survey) -> Iterator[Finding]:
             yield Finding("error", "range limits", what, "no reading is valid")
         if scans.all_nan:
             what = f"{name}: {scans.all_nan} of {total} scans are NaN only"
-            yield Finding("warning", "empty scans", what, "they contain nothing; the motion is a guess")
+            yield Finding("warning", "empty scans", what, "they are empty; the motion is a guess")
         if scans.no_return:
             what = f"{name}: {scans.no_return} of {total} scans have no return at all"
             yield Finding("warning", "empty scans", what, "they cannot be matched")
@@ -188,10 +188,8 @@ def _sweep_time(name: str, topic: TopicSurvey, sweep_s: float) -> Iterator[Findi
     steps = np.diff(np.array(topic.stamps, dtype=np.int64))
     period = float(np.median(steps)) * 1e-9 if len(steps) else 0.0
     if period > 0.0 and sweep_s > 1.2 * period:
-        what = f"{name}: time_increment makes a sweep of {sweep_s:.3f} s, a scan comes every {period:.3f} s"
-        yield Finding(
-            "warning", "sweep time", what, "deskewing bends the scans instead of straightening them"
-        )
+        what = f"{name}: time_increment implies a sweep of {sweep_s:.3f} s, a scan comes every {period:.3f} s"
+        yield Finding("warning", "sweep time", what, "deskewing distorts the scans")
 
 
 def _rotations(found: Survey) -> Iterator[Finding]:
@@ -246,11 +244,11 @@ def _mixed_frames(found: Survey) -> Iterator[Finding]:
 def _places(found: Survey) -> Iterator[Finding]:
     """Transforms and poses beyond the Earth."""
     for parent, child in sorted(found.frames.far):
-        what = f"/tf or /tf_static: {parent} -> {child} is farther than any place on Earth"
+        what = f"/tf or /tf_static: {parent} -> {child} is implausibly far away"
         yield Finding("error", "absurd places", what, "viewers break; here it is left out")
     for topic in found.of_type(ODOMETRY):
         if count := sum(map(far_away, topic.places)):
-            what = f"{topic.topic.name}: {count} poses are farther than any place on Earth"
+            what = f"{topic.topic.name}: {count} poses are implausibly far away"
             yield Finding("error", "absurd places", what, "here they are left out")
 
 
@@ -259,13 +257,13 @@ def _units(found: Survey) -> Iterator[Finding]:
     for name, scans in found.scans.items():
         (_, _, _, _, _, _, range_max), _ = scans.geometries.most_common(1)[0][0]
         if ranges_in_millimetres(np.concatenate(scans.some), range_max):
-            what = f"{name}: the readings are longer than any lidar's"
-            breaks = "every reader reads them as metres; here they are read as millimetres"
+            what = f"{name}: the readings exceed any lidar's range"
+            breaks = "other readers take them for metres; here they are read as millimetres"
             yield Finding("error", "millimetres", what, breaks)
     for name, stamps, places in _driven(found):
         if driven_in_millimetres(stamps, places):
-            what = f"{name}: the robot would be faster than any"
-            breaks = "every reader reads the poses as metres; here they are read as millimetres"
+            what = f"{name}: the robot would be implausibly fast"
+            breaks = "other readers take the poses for metres; here they are read as millimetres"
             yield Finding("error", "millimetres", what, breaks)
     base = found.base()
     for topic in found.of_type(SCAN):

@@ -87,7 +87,7 @@ class BagFolder:
     def write(self, channel: int, log_time_ns: int, data: bytes) -> None:
         """Append one message; ValueError for a time that the format cannot hold."""
         if not 0 <= log_time_ns < 1 << 64:
-            raise ValueError(f"{log_time_ns} ns is no time of a message")
+            raise ValueError(f"{log_time_ns} ns is not a valid message time")
         if log_time_ns < self._first_ns:
             self._first_ns = log_time_ns
         if log_time_ns > self._last_ns:

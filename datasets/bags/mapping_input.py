@@ -106,7 +106,7 @@ def _wanted_topic(streams: Streams, wanted: str) -> str:
     msgtype = streams.seen.get(wanted)
     found = "not in this bag" if msgtype is None else f"of type {msgtype}"
     if msgtype == SCAN:
-        found = "without a message that can be read"
+        found = "without a readable message"
     topics = ", ".join(sorted(streams.seen)[:12]) or "none"
     message = f"{streams.bag.path}: --topic {wanted} is {found}; its topics: {topics}"
     raise NoScans(message, [wanted] if msgtype == CLOUD else [])

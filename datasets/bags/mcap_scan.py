@@ -72,7 +72,7 @@ class McapScan(Scan):
         if not self.state.ended:
             self.state.problems.append(
                 f"the file ends without its index, after {len(self._data)} bytes: the recording was cut off; "
-                "`turtlebag bag recover` makes a complete bag of it"
+                "`turtlebag bag recover` makes it a complete bag"
             )
 
     def leading_metadata(self, name: str) -> dict[str, str]:
@@ -165,10 +165,10 @@ def _unpack_chunk(body: bytes) -> bytes:
     chunk = parsed(Chunk.read, body)
     start, end, size = chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size
     if start > end or size > chunk_bound(len(body)):
-        raise Damage("a chunk with an impossible head")
+        raise Damage("a chunk with an invalid header")
     records = chunk.data if chunk.compression == "" else unpacked_chunk(chunk.compression, chunk.data, size)
     if len(records) != size:
-        raise Damage("a chunk of the wrong size")
+        raise Damage("a chunk has the wrong size")
     if chunk.uncompressed_crc and chunk.uncompressed_crc != zlib.crc32(records):
         raise Damage("the checksum of a chunk does not match")
     return records

@@ -73,14 +73,14 @@ def _source(
     with np.errstate(invalid="ignore"):
         places = (np.abs(xyt) < FAR_M).all(axis=1)
     if not places.all():
-        what = "are not finite or farther than any place on Earth, and left out"
+        what = "are not finite or implausibly far away, and left out"
         notes.append(f"{name}: {np.count_nonzero(~places)} poses {what}")
         stamps, times, xyt = stamps[places], times[places], xyt[places]
     if not len(stamps):
         return OdometrySource(base)
     stamps = running(stamps, times, name, notes)
     if driven_in_millimetres(stamps, xyt[:, :2]):
-        notes.append(f"{name}: the robot would be faster than any; read as millimetres")
+        notes.append(f"{name}: the robot would be implausibly fast; read as millimetres")
         xyt = xyt * (1e-3, 1e-3, 1.0)
     by_stamp, by_log_time = _increasing(stamps, xyt, name, notes), _increasing(times, xyt, name, [])
     return OdometrySource(
@@ -140,9 +140,7 @@ def sensor_matrix(path: Path, frames: FrameTree, base: str, sensor: str, notes: 
         T = frames.lookup(start, sensor)
         if T is not None:
             if (arm := float(np.linalg.norm(T[:3, 3]))) > ARM_M:
-                what = (
-                    f"by its transforms the laser '{sensor}' sits {arm:.4g} m from '{start}' (millimetres?)"
-                )
+                what = f"the transforms put the laser '{sensor}' {arm:.4g} m from '{start}' (millimetres?)"
                 raise InputError(f"{path}: {what}; --laser X,Y,YAW sets its pose")
             return T
     known = ", ".join(sorted(frames.frames())) or "none"

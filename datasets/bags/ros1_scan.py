@@ -132,7 +132,7 @@ def _fields(data: bytes) -> dict[str, bytes]:
     fields, at, end = {}, 0, len(data)
     while at < end:
         if at + 4 > end:
-            raise Damage("a header is cut")
+            raise Damage("a header is truncated")
         (size,) = struct.unpack_from("<I", data, at)
         name, mark, value = data[at + 4 : at + 4 + size].partition(b"=")
         if not mark or at + 4 + size > end:
@@ -164,5 +164,5 @@ def _unpacked(header: dict[str, bytes], body: bytes, size: int) -> bytes:
         raise Damage("the file ends inside a compressed chunk")
     claimed = _number(header, "size")
     if claimed > chunk_bound(size):
-        raise Damage("a chunk of an impossible size")
+        raise Damage("a chunk has an impossible size")
     return unpacked_chunk(compression, body, claimed)

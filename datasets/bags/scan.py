@@ -90,7 +90,7 @@ def unpacked_chunk(compression: str, packed: bytes, size: int) -> bytes:
     try:
         if compression == "zstd":
             if zstandard.frame_content_size(packed) not in (size, -1):
-                raise Damage("a chunk of the wrong size")
+                raise Damage("a chunk has the wrong size")
             records = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
         elif compression == "lz4":
             records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
@@ -101,5 +101,5 @@ def unpacked_chunk(compression: str, packed: bytes, size: int) -> bytes:
     except (zstandard.ZstdError, OSError, RuntimeError, ValueError, EOFError, MemoryError) as error:
         raise Damage(f"a chunk cannot be unpacked ({' '.join(str(error).split())[:80]})") from None
     if len(records) != size:
-        raise Damage("a chunk of the wrong size")
+        raise Damage("a chunk has the wrong size")
     return records

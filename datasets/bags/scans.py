@@ -28,7 +28,7 @@ _WORTH_SAYING = 0.01
 """Share of readings at range_max that is more than noise at far walls (0.2 % in the simulated house)."""
 
 
-TURNED_OVER = "the laser hangs upside down; its scans were flipped"
+TURNED_OVER = "the laser is mounted upside down; its scans were flipped"
 """The note of a recording whose laser does."""
 
 
@@ -81,7 +81,7 @@ def on_one_grid(
     beside = sum(number for key, number in usable.items() if not _aligned(key, lidar))
     if beside > 0.1 * len(scans):
         lidar = _finer(lidar)
-        notes.append(f"the angles change from scan to scan: put on a grid of {lidar.n_beams} beams")
+        notes.append(f"the beam angles change from scan to scan: put on a grid of {lidar.n_beams} beams")
     elif len(usable) > 1:
         notes.append(f"{len(scans) - count} scans of another geometry resampled to {lidar.n_beams} beams")
     if len(usable) < len(set(keys)):
@@ -113,7 +113,7 @@ def _lidar(key: Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSp
         range_max = 100.0
     times = [_median(scan.geometry[index] for scan in scans) for index in (3, 4)]
     if abs(times[0]) * key.n > _LONGEST_SWEEP_S:
-        notes.append(f"time_increment makes a sweep of {abs(times[0]) * key.n:.3g} s; taken as 0")
+        notes.append(f"time_increment implies a sweep of {abs(times[0]) * key.n:.3g} s; taken as 0")
         times[0] = 0.0
     return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
 
@@ -123,7 +123,7 @@ def _in_metres(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> LidarSpec:
     if not ranges_in_millimetres(ranges[:: 1 + len(ranges) // 200], lidar.range_max):
         return lidar
     ranges /= np.float32(1000.0)
-    notes.append("the readings are longer than any lidar's; read as millimetres")
+    notes.append("the readings exceed any lidar's range; read as millimetres")
     if not limits_in_millimetres(lidar.range_max):
         return lidar
     return replace(lidar, range_min=lidar.range_min / 1000.0, range_max=lidar.range_max / 1000.0)

@@ -60,7 +60,7 @@ class Streams:
     def note_left_out(self, notes: list[str]) -> None:
         """Name the transforms that are no places and the topics of no standard type; count the damaged."""
         for parent, child in sorted(self.frames.far):
-            notes.append(f"the transform {parent} -> {child} is farther than any place on Earth and left out")
+            notes.append(f"the transform {parent} -> {child} is implausibly far away and left out")
         known = typestore().fielddefs
         unknown = [
             f"{name} ({msgtype})" for name, msgtype in self.seen.items() if _current(msgtype) not in known

@@ -70,22 +70,22 @@ DEFECTS = {
     "readings in millimetres": (
         {"each": [odom, lambda k: scan(k, scale=1000.0)]},
         ("millimetres", "/scan: the readings"),
-        "the readings are longer than any lidar's; read as millimetres",
+        "the readings exceed any lidar's range; read as millimetres",
     ),
     "readings and limits in millimetres": (
         {"each": [odom, lambda k: scan(k, scale=1000.0, range_min=120.0, range_max=3500.0)]},
         ("millimetres", "/scan: the readings"),
-        "the readings are longer than any lidar's; read as millimetres",
+        "the readings exceed any lidar's range; read as millimetres",
     ),
     "odometry in millimetres": (
         {"each": [lambda k: odom(k, scale=1000.0), scan]},
-        ("millimetres", "/odom: the robot would be faster than any"),
-        "/odom: the robot would be faster than any; read as millimetres",
+        ("millimetres", "/odom: the robot would be implausibly fast"),
+        "/odom: the robot would be implausibly fast; read as millimetres",
     ),
     "transforms in millimetres": (
         {"each": [lambda k: moved(k, scale=1000.0), scan]},
-        ("millimetres", "/tf: odom -> base_footprint: the robot would be faster than any"),
-        "/tf: the robot would be faster than any; read as millimetres",
+        ("millimetres", "/tf: odom -> base_footprint: the robot would be implausibly fast"),
+        "/tf: the robot would be implausibly fast; read as millimetres",
     ),
     "two robots on one topic": (
         {"each": [odom, lambda k: odom(k, scale=-3.0, child="other/base_link") if k % 2 else None, scan]},
@@ -99,13 +99,13 @@ DEFECTS = {
     ),
     "a camera beyond the Earth": (
         {"static": [mounted(1e300, "camera"), mounted()]},
-        ("absurd places", "base_footprint -> camera is farther"),
-        "the transform base_footprint -> camera is farther than any place on Earth and left out",
+        ("absurd places", "base_footprint -> camera is implausibly"),
+        "the transform base_footprint -> camera is implausibly far away and left out",
     ),
     "poses beyond the Earth": (
         {"each": [odom, lambda k: odom(k, k * STEP + 1, scale=1e300) if k == 9 else None, scan]},
-        ("absurd places", "/odom: 1 poses are farther"),
-        "/odom: 1 poses are not finite or farther than any place on Earth, and left out",
+        ("absurd places", "/odom: 1 poses are implausibly"),
+        "/odom: 1 poses are not finite or implausibly far away, and left out",
     ),
 }
 
@@ -145,7 +145,7 @@ def test_a_laser_beyond_its_robot_is_refused_until_the_user_says_where_it_is(goo
     assert main(["map", str(path), "--out", str(tmp_path / "map")]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert f"'base_scan' sits {abs(x):.4g} m from 'base_footprint'" in said
+    assert f"the laser 'base_scan' {abs(x):.4g} m from 'base_footprint'" in said
     assert "--laser X,Y,YAW" in said
     assert not (tmp_path / "map").exists()
     assert load_recording(path, T_base_lidar=good.T_base_lidar).notes == ()

@@ -63,7 +63,7 @@ def test_a_scanner_whose_angles_change_is_put_on_a_finer_grid():
     scans = [scan(np.arange(8) + 0.5, k * step / 4, step) for k in (0, 0, 1, 2, 3)]
     notes = []
     ranges, lidar = assemble(scans, notes)
-    assert notes == ["the angles change from scan to scan: put on a grid of 32 beams"]
+    assert notes == ["the beam angles change from scan to scan: put on a grid of 32 beams"]
     assert (lidar.n_beams, lidar.angle_increment, lidar.time_increment) == (32, step / 4, 0.0025)
     for row, k in zip(ranges, (0, 0, 1, 2, 3), strict=True):
         np.testing.assert_array_equal(np.flatnonzero(np.isfinite(row)), np.arange(8) * 4 + k)

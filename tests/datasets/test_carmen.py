@@ -85,8 +85,8 @@ def drive(readings=1.0, poses=1.0, stamp=lambda k: f"{k}.000000"):
 @pytest.mark.parametrize(
     ("changes", "note"),
     [
-        ({"readings": 1000.0}, "the readings are longer than any lidar's; read as millimetres"),
-        ({"poses": 1000.0}, "the robot would be faster than any; its poses read as millimetres"),
+        ({"readings": 1000.0}, "the readings exceed any lidar's range; read as millimetres"),
+        ({"poses": 1000.0}, "the robot would be implausibly fast; its poses read as millimetres"),
     ],
 )
 def test_millimetres_are_told_and_made_metres(tmp_path, changes, note):

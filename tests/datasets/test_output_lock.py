@@ -168,7 +168,7 @@ def test_a_folder_that_holds_an_input_file_is_not_replaced(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     before = state(tmp_path)
     assert main([*(word.replace("IN", "in") for word in words), "--out", "in", "--force"]) == 2
-    assert "holds the input" in capsys.readouterr().err
+    assert "contains the input" in capsys.readouterr().err
     assert state(tmp_path) == before
 
 

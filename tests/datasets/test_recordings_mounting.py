@@ -63,7 +63,7 @@ def test_an_option_turns_the_lidar_over(tmp_path, caplog, monkeypatch, log):
     np.testing.assert_allclose(turned.lidar.angles, -upright.lidar.angles, atol=1e-12)
     assert turned.lidar.time_increment == upright.lidar.time_increment
     np.testing.assert_array_equal(turned.ranges, upright.ranges)
-    assert turned.notes == (*upright.notes, "the laser hangs upside down; its scans were flipped")
+    assert turned.notes == (*upright.notes, "the laser is mounted upside down; its scans were flipped")
     assert laser("0.1,0.2,0.3")[1] is False
     assert laser(None) == (None, False)
     caplog.set_level(logging.INFO, logger="turtlebag")

@@ -52,7 +52,7 @@ def test_ply_files_hold_points_and_colours(tmp_path):
     path.write_bytes(other + struct.pack("<hfdhfd", 3, 1.0, 2.0, 6, 4.0, 5.0))
     np.testing.assert_array_equal(read_ply(path), [[1, 2, 3], [4, 5, 6]])
     for content, says in (
-        (data[:-1], "cut off"), (b"obj" + data[3:], "not a binary"),
+        (data[:-1], "truncated"), (b"obj" + data[3:], "not a binary"),
         (data.replace(b"little", b"bigger"), "not a binary"),
         (other.replace(b"short z", b"short w"), "without points"), (b"", "not a binary"),
     ):  # fmt: skip

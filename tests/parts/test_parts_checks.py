@@ -89,7 +89,7 @@ def world(part):
         (testing.check_controller, parts.Jerks, "is more than the robot can do in"),
         (testing.check_controller, parts.Rolls, "brake: must come to a standstill within 5 s"),
         (testing.check_task, parts.Rammer, "is beyond the robot's limits"),
-        (testing.check_task, parts.Stateless, "has no state, which a Task has"),
+        (testing.check_task, parts.Stateless, "has no state, which Task requires"),
         (world, parts.Tight, "there must be room for the robot where it starts"),
         (world, parts.Small, "bounds must hold all shapes"),
         (world, parts.Numbers, "shape must be a Solid, not a int"),

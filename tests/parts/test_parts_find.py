@@ -152,7 +152,7 @@ def test_a_setting_that_stands_for_ours_is_not_written():
 
 
 def test_attributes_are_asked_of_a_part_that_is_made():
-    with pytest.raises(InputError, match="has no state, which a Controller has"):
+    with pytest.raises(InputError, match="has no state, which Controller requires"):
         parts.require_attributes(object(), Controller)
 
 

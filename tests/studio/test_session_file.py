@@ -110,7 +110,10 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
         (HEAD + "inputs:\n- {at: 1, do: dance}\n", "input 1: 'dance' is no input"),
         (HEAD + "inputs:\n- {at: 1, do: drive, v: 1}\n", "input 1: drive: write it as an interval"),
         (HEAD + "inputs:\n- {at: 1, do: goal, pose: [0, 0]}\n", "input 1: goal: pose.2"),
-        (HEAD + "inputs:\n- {at: 2, do: avoid}\n- {at: 1, do: cancel}\n", "input 2: at 1 s, before the previous one"),
+        (
+            HEAD + "inputs:\n- {at: 2, do: avoid}\n- {at: 1, do: cancel}\n",
+            "input 2: at 1 s, before the previous",
+        ),
         (HEAD + "inputs:\n- {at: 2, do: end}\n- {at: 3, do: avoid}\n", "input 2: comes after"),
         (HEAD + "inputs:\n- {begin: 2, end: 1}\n", "input 1"),
         (HEAD + "inputs:\n- {begin: 2, end: 1.0e+8}\n", "input 1: end: must be at most"),
