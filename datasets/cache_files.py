@@ -1,8 +1,8 @@
-"""Files that only save work: results kept by what made them.
+"""Cache files: results stored under a hash of their inputs.
 
-A file says what its bytes have to hash to: a cut or altered one, or one under another's name, is none.
-Files are written beside and renamed, so that any number of processes may share a folder and be killed at
-any moment. Trouble with the folder (full, read-only) never ends a run: what cannot be kept is made again.
+A file contains the hash of its bytes: a truncated, altered or renamed one is ignored.
+Files are written under a temporary name and renamed, so any number of processes may share a folder and be
+killed at any moment. Trouble with the folder (full, read-only) never ends a run: results are computed again.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""CARMEN logs (.clf, .log): planar scans with the odometry pose of each, as the public SLAM logs come.
+"""CARMEN logs (.clf, .log), the format of the public SLAM logs: planar scans with odometry poses.
 
 One message a line: `FLASER n r_1..r_n x y theta odom_x odom_y odom_theta ipc_stamp host logger_stamp`.
-The first pose is the laser's, the second the robot's. The older lines say nothing of the field of
-view: it is half a circle, -90 degrees first. `ROBOTLASER1` lines carry theirs.
+The first pose is the laser's, the second the robot's. FLASER lines do not state the field of
+view: it is half a circle, -90 degrees first. `ROBOTLASER1` lines state theirs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Undoing the motion within a sweep: from where each beam was sent, as seen from the sweep's start.
+"""Deskewing: each beam's origin, relative to the start of the sweep.
 
 One kernel is for the beams of a planar lidar, whose base moves in the plane, the other for the points of a
 cloud, whose base moves in space.

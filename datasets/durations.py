@@ -1,4 +1,4 @@
-"""Durations as settings give them."""
+"""The type of durations in settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one exception a user is meant to see."""
+"""InputError, the exception for bad input: one line for the user."""
 
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar

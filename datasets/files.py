@@ -1,4 +1,4 @@
-"""Input files as bytes: plain files only, unchanged while they are read, unpacked within bounds."""
+"""Read input files: plain files only, unchanged while they are read, decompressed within limits."""
 
 from __future__ import annotations
 

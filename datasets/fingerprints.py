@@ -1,4 +1,4 @@
-"""One sha256 for a value of any shape: what results that are kept are named by."""
+"""A sha256 of any value, as the name of a cached result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The occupancy grid, and the one place where metres become cells."""
+"""The occupancy grid, and the conversion between metres and cells."""
 
 from __future__ import annotations
 

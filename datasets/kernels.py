@@ -1,10 +1,10 @@
-"""Numeric kernels compiled by numba, the machine code kept by everything that it was made of.
+"""Numba kernels with a cache that is keyed by everything the machine code depends on.
 
-numba's own cache knows a kernel by the file it stands in alone: when a kernel of another file changes
-that it has inlined, the old code goes on being used. Here the name of what is kept is a hash of the
+numba's own cache identifies a kernel only by its file: if an inlined kernel in another file changes,
+the old code is still used. Here the key is a hash of the
 kernel's own bytecode and options, of those of every kernel it calls, of the constants they read, of the
-packages, the processor and the types of the arguments. So no kernel is stale, and only those that a
-change reaches are compiled again.
+packages, the processor and the types of the arguments. So no kernel is stale, and only affected
+kernels are compiled again.
 """
 
 from __future__ import annotations

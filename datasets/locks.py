@@ -1,4 +1,4 @@
-"""Locks on folders: they go with a folder that is renamed, and end with the process that holds them."""
+"""Locks on folders: they survive a rename, and end with the process that holds them."""
 
 from __future__ import annotations
 

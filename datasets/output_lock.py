@@ -1,8 +1,8 @@
-"""Who may write an output: one process at a time.
+"""Locks an output, so that one process at a time writes it.
 
-An output grows in `OUT.partial`. That folder bears a file by which we know it again, and is locked (flock on
-the folder itself, so that the lock goes with it when it is renamed, and ends with the process that holds it).
-What the command reads must lie apart from it and be the same at the end as at the beginning.
+An output grows in `OUT.partial`. That folder contains a marker file and is locked (flock on
+the folder itself, so the lock survives the rename, and ends with the process that holds it).
+The command's inputs must lie elsewhere, and must not change while it runs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What an output may take the place of: nothing that is not an output of ours, and nothing that is read."""
+"""What an output may replace: only an earlier output of ours, and never an input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Outputs that are whole or absent: grown beside, renamed into place, with a manifest of their making."""
+"""Atomic outputs: written to `OUT.partial`, renamed when finished, with a manifest."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Parts of a user's own: classes named `module:Class`, wherever the name of a part of ours is accepted.
+"""User-defined parts: a class `module:Class`, wherever the name of one of our parts is accepted.
 
-What a part must be is said by a `Protocol`: its methods with their parameters, `__init__` among them where
-the part is made with something. The module is found as `python -m` finds one, in the current folder first.
+A `Protocol` is the contract of a part: its methods with their parameters, also `__init__` if
+the part takes arguments. The module is found as `python -m` finds one, in the current folder first.
 """
 
 from __future__ import annotations

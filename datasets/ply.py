@@ -1,4 +1,4 @@
-"""Point clouds in binary PLY files: the little-endian kind that every viewer reads."""
+"""Point clouds in binary little-endian PLY files."""
 
 from __future__ import annotations
 

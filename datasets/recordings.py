@@ -1,4 +1,4 @@
-"""One door for every recorded input: bags of ROS 1 and 2, record folders and CARMEN logs."""
+"""Load any recording: ROS 1 and 2 bags, record folders and CARMEN logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Public logs by name: where they are, what they are, and a verified local copy of each."""
+"""Public logs by name: their URLs and descriptions, and a verified local copy of each."""
 
 from __future__ import annotations
 

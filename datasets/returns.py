@@ -1,4 +1,4 @@
-"""Drivers that send a range where they should send "no return"."""
+"""Detects the fixed range that some drivers send for "no return"."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What another system made of a recording: its trajectory, its map or both, under one name."""
+"""The output of another SLAM system for a recording: its trajectory, its map or both, under one name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One seed a run, and a named random stream for each use of it."""
+"""One seed per run, and a named random stream for each consumer."""
 
 import zlib
 

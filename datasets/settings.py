@@ -1,4 +1,4 @@
-"""What all settings are made of."""
+"""The base class of all settings."""
 
 from __future__ import annotations
 

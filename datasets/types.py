@@ -1,4 +1,4 @@
-"""The few types that cross package borders. Stamps are integer nanoseconds, all else SI and radians."""
+"""The types shared by all packages. Stamps are integer nanoseconds, everything else SI units and radians."""
 
 from __future__ import annotations
 

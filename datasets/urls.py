@@ -1,4 +1,4 @@
-"""Files and folders by URL, through fsspec: paths of this machine, `memory://`, `s3://` and others."""
+"""Files and folders by URL, through fsspec: local paths, `memory://`, `s3://` and others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Typed YAML files: read as keys and values, checked against a pydantic model, errors in one line."""
+"""Typed YAML files: validated with a pydantic model, errors in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a planner knows of a map: which cells stop the robot, and how far away the nearest of them is."""
+"""The costmap: which cells are obstacles, and the distance to the nearest of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exact Euclidean distance transform, compiled: Meijster, Roerdink and Hesselink (2000)."""
+"""Exact Euclidean distance transform (Meijster, Roerdink and Hesselink 2000), compiled."""
 
 from __future__ import annotations
 

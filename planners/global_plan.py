@@ -1,9 +1,9 @@
-"""A path over the map: the cells say whether there is one and how long it need be, OMPL plans it, an elastic
-band rounds it.
+"""The global planner: a grid search tells whether there is a path and how long it must be, OMPL plans it, an
+elastic band smooths it.
 
-The floor is searched for the disc that holds the whole footprint, first with room to spare, then
-with less: a differential robot can turn on the spot anywhere along such a path. Where that disc has no
-way, the footprint itself is looked at in every heading (turtlebag.planners.lattice).
+The path is planned for the disc that contains the footprint, first with a wide margin, then
+with less: a differential robot can turn on the spot anywhere along such a path. If there is none for the
+disc, the footprint itself is checked in every heading (turtlebag.planners.lattice).
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _plan_disc(
         raise NoPath(reason)
     # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
     if _blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses) > 2.0 * SNAP_M:
-        raise NoPath("no path leads there")
+        raise NoPath("no path to the goal")
     return plan
 
 
@@ -142,7 +142,7 @@ def _disc_way(
                 reason = "the robot is too close to an obstacle"
             continue
         if not search.connected(entry, exit_):
-            reason = "no path leads there"
+            reason = "no path to the goal"
             continue
         tight, by = search.run(entry, exit_, seed)
         if limit is None:
@@ -205,7 +205,7 @@ def _plan_poses(
         raise NoPath("the robot is in an obstacle or off the map")
     footprint = _grown(costmap, model.footprint, (start, goal))
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
-        raise NoPath("no path leads there in any heading")
+        raise NoPath("no path to the goal in any heading")
     name = f"{config.ompl.name} in {config.ompl.space}"
     if np.allclose((start.inverse() @ goal).xyt, 0.0, atol=1e-6):
         there = SE2(np.stack([start.xyt, goal.xyt]))

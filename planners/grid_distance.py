@@ -1,4 +1,4 @@
-"""Distances along the free floor: what is connected, how long the way is, and where the way lies."""
+"""Grid search over free cells: connectivity, distances and shortest paths."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Ways that only the turned footprint can take: a lattice of every cell and 32 headings.
+"""Paths through gaps too narrow for the disc around the footprint: a lattice of every cell and 32 headings.
 
-Where the disc round the footprint has room, all headings are one state; elsewhere each heading is its
-own. A step leads along the heading, forwards or backwards; a turn on the spot to the next heading.
+Where that disc fits, all headings of a cell are one state; elsewhere each heading is its
+own. Moves are a step along the heading, forwards or backwards, and a turn on the spot to the next heading.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Searches on the lattice of cells and headings (see turtlebag.planners.lattice), compiled.
 
-Where the disc round the footprint has room a cell is one state, elsewhere each of its headings is one.
+Where the disc around the footprint fits, a cell is one state; elsewhere each of its headings is one.
 """
 
 from __future__ import annotations

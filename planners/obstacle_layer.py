@@ -1,4 +1,4 @@
-"""Obstacles that the scans show now: marked where beams end, cleared where they pass, forgotten in time."""
+"""The obstacle layer: cells are marked where beams end, cleared where they pass, and expire."""
 
 from __future__ import annotations
 

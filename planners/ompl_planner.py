@@ -1,7 +1,7 @@
-"""OMPL's planners by name: seeded, bounded by iterations, exact solutions only.
+"""OMPL's planners by name: seeded, limited by iterations, exact solutions only.
 
-OMPL's seed is process-wide; it is set before every call and every OMPL object is made anew, so
-that a call's result depends on its arguments alone.
+OMPL's seed is process-wide; it is set before every call, and every OMPL object is created anew, so
+a call's result depends on its arguments alone.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ ROADMAPS = ("PRM", "PRMstar")
 IMPOSSIBLE = {
     ("AORRTC", "dubins"): "crashes",
     # Its batches of better states are found by rejection, which no termination condition ends.
-    ("SORRTstar", "reeds_shepp"): "may search without end",
-    ("SORRTstar", "dubins"): "may search without end",
+    ("SORRTstar", "reeds_shepp"): "may never terminate",
+    ("SORRTstar", "dubins"): "may never terminate",
 }
 """Planners that do not work in a space (OMPL 2.0.1)."""
 STRAIGHT = 1e-3

@@ -1,4 +1,4 @@
-"""What a global planner is: it finds a path over a map."""
+"""The contract of a global planner: it finds a path on a map."""
 
 from __future__ import annotations
 
@@ -59,4 +59,4 @@ def require_plan(planner: GlobalPlanner, plan: object) -> None:
     for what in ("length", "margin"):
         answer.require_finite(what, getattr(plan, what))
     if plan.length < 0.0:
-        raise answer.wrong("length is below 0")
+        raise answer.wrong("length is negative")

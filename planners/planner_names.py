@@ -1,4 +1,4 @@
-"""The planners of OMPL that can be chosen, by their names there: for a help text without OMPL."""
+"""Names of the available OMPL planners, so that help texts need not import OMPL."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""Planning in position and heading with the whole footprint: SE2, Reeds-Shepp and Dubins spaces of OMPL."""
+"""Planning with the whole footprint in position and heading: OMPL's SE2, Reeds-Shepp and Dubins spaces."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""An obstacle layer that goes with the robot: a window of fixed size, whatever way it drives.
+"""The rolling costmap: an obstacle layer in a window of fixed size that moves with the robot.
 
-Nothing is known but what the scans show; beyond the window everything may be free. A goal out there
-is pursued by way of a place at the window's rim (as the planner of a rolling costmap needs it).
+Only the scans are known; beyond the window everything counts as free. For a goal beyond it, the robot
+first drives to a point on the window's edge.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class RollingLayer(ObstacleLayer):
         total = ways[rim[:, 0], rim[:, 1]] + rest
         best = int(np.argmin(total))
         if not math.isfinite(total[best]):
-            raise NoPath("no path leads out of the area in view")
+            raise NoPath("no path out of the visible area")
         place = costmap.T_map_grid @ ((rim[best, ::-1] + 0.5) * res)
         ahead = goal.xy - place
         return SE2.from_xyt(place[0], place[1], math.atan2(ahead[1], ahead[0]))

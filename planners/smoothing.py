@@ -1,4 +1,4 @@
-"""Shorter and rounder paths that keep their distance from obstacles."""
+"""Path smoothing: shorter and rounder paths with the same clearance."""
 
 from __future__ import annotations
 

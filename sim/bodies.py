@@ -1,4 +1,4 @@
-"""Solids as static Bullet bodies: several to a body where that is possible, for speed."""
+"""Solids as static Bullet bodies, several per body where possible, for speed."""
 
 from __future__ import annotations
 

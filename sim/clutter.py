@@ -1,4 +1,4 @@
-"""Things that are not on the map: boxes put down and people walking about, drawn from a seed."""
+"""Unmapped clutter: boxes and walking people, drawn from a seed."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The hands of the simulated person: straight lines and turns on the spot, as generators of commands.
+"""Actions of the teleop scripts' driver: straight lines and turns on the spot, as generators of commands.
 
-Each action is sent the truth after every step and returns the last one it saw.
+Each action is sent the true state after every step and returns the last one it saw.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Faults on purpose: commands and scans that come late or never, sensors that go silent, wheels that slip,
-and a robot that is picked up and put down elsewhere."""
+"""Fault injection: delayed and lost commands and scans, silent sensors, slipping wheels, kidnapping."""
 
 from __future__ import annotations
 
@@ -53,7 +52,7 @@ class FaultConfig(Settings):
     @classmethod
     def _one_after_the_other(cls, kidnaps: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
         if any(b[0] <= a[0] for a, b in itertools.pairwise(kidnaps)):
-            raise ValueError("kidnaps must be in the order of their times")
+            raise ValueError("kidnaps must be in order of time")
         return kidnaps
 
 

@@ -1,4 +1,4 @@
-"""Seeded worlds without end: mazes, offices and forests, so that nothing is tuned to three maps."""
+"""World generators: mazes, offices and forests by seed, so that nothing is tuned to three maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The IMU: yaw rate and specific force of a body that moves on the floor, with noise and wandering bias."""
+"""The IMU: yaw rate and specific force of a body moving on the floor, with noise and a random-walk bias."""
 
 from __future__ import annotations
 

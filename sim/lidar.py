@@ -1,4 +1,4 @@
-"""The lidar: beams through the outlines at its height, each at its own instant, with noise."""
+"""The lidar: beams against the outlines at its height, each at its own time, with noise."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class LidarConfig(Settings):
     @model_validator(mode="after")
     def _errors_are_used(self) -> LidarConfig:
         if self.errors is not None and self.noise not in ("sensor", None):
-            raise ValueError(f"errors are those of noise=sensor, and noise is {self.noise}")
+            raise ValueError(f"errors apply only with noise=sensor, not noise={self.noise}")
         return self
 
 

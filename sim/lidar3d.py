@@ -1,4 +1,4 @@
-"""A turning 3D lidar: rings of beams at fixed elevations, each azimuth at its own instant."""
+"""A spinning 3D lidar: rings of beams at fixed elevations, each azimuth at its own time."""
 
 from __future__ import annotations
 

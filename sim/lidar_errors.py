@@ -1,4 +1,4 @@
-"""What a real lidar adds to the distances: errors of the unit, of a turn and of a beam, and lost beams."""
+"""The lidar's noise model: range errors per unit, per turn and per beam, and lost beams."""
 
 from __future__ import annotations
 

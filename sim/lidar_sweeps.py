@@ -1,4 +1,4 @@
-"""Turns of a lidar's head: they begin and end when they like, between control steps too; or none at all."""
+"""Timing of a lidar's sweeps, which start and end independently of the control steps."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def load_mesh(path: Path) -> Array:
     except (ValueError, IndexError, KeyError, struct.error, ET.ParseError, OSError) as error:
         raise InputError(f"{path}: not a readable mesh ({error})") from None
     if len(triangles) == 0:
-        raise InputError(f"{path}: holds no triangles")
+        raise InputError(f"{path}: contains no triangles")
     return triangles
 
 

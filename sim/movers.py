@@ -1,4 +1,4 @@
-"""Things that move: boxes and cylinders that follow a path, or wander, at a speed of their own."""
+"""Moving obstacles: boxes and cylinders that follow a path or wander, at their own speed."""
 
 from __future__ import annotations
 

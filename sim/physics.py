@@ -1,4 +1,4 @@
-"""Bullet: the floor, the solids, and the robot as an articulated body that only its wheels move."""
+"""The Bullet simulation: floor, solids, and the robot as an articulated body driven by its wheels."""
 
 from __future__ import annotations
 

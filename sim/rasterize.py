@@ -1,8 +1,8 @@
-"""The true map of a world: what a perfect lidar, carried everywhere, would draw.
+"""The true map of a world: the map of a perfect lidar that has been everywhere.
 
-A cell is OCCUPIED when a surface passes through it that can be seen from the floor space reachable
-from the spawn, FREE when it belongs to that space, and UNKNOWN elsewhere: inside solids, behind
-walls, outside. So the map is comparable, cell by cell, with one built from scans, which never see
+A cell is OCCUPIED if it contains a surface visible from the floor that is reachable
+from the spawn, FREE if it belongs to that floor, and UNKNOWN elsewhere: inside solids, behind
+walls, outside. So it can be compared, cell by cell, with a map built from scans, which never see
 the inside of a wall.
 """
 

@@ -1,4 +1,4 @@
-"""Planar geometry in compiled loops: rays against outlines, and the distance from a footprint to them."""
+"""Compiled 2D ray casting against outlines, and the distance from a footprint to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rings of rays through solids in space: upright prisms and cylinders, balls, meshes, and the floor."""
+"""3D ray casting of rings of beams against prisms, cylinders, balls, meshes and the floor."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Routes for any world: where a careful person would drive, planned on the true geometry.
+"""Routes through any world for the teleop scripts, planned on the true geometry.
 
-They belong to the simulated driver (see `teleop.py`): what is planned here reaches the robot as motion only.
+They are for the simulated driver only (see `teleop.py`); the robot just receives its commands.
 """
 
 from __future__ import annotations

@@ -128,11 +128,11 @@ class _Reader:
             [folder] if folder.is_file() else sorted(folder.glob("model.sdf")) or sorted(folder.glob("*.sdf"))
         )
         if not files:
-            raise InputError(f"{self._path}: include {uri}: {folder} holds no .sdf file")
+            raise InputError(f"{self._path}: include {uri}: {folder} contains no .sdf file")
         root = _parse(files[-1])
         model = root if root.tag == "model" else root.find("model")
         if model is None:
-            raise InputError(f"{files[-1]}: holds no model")
+            raise InputError(f"{files[-1]}: contains no model")
         return model
 
     def _find(self, uri: str) -> Path | None:
@@ -184,7 +184,7 @@ class _Reader:
                 raise ValueError(f"{uri} not found; set GAZEBO_MODEL_PATH to the folder of its model")
             scale = np.array([float(value) for value in (shape.findtext("scale") or "1 1 1").split()])
             return mesh(name, (load_mesh(file) * scale) @ rotation.T + position)
-        raise ValueError("this shape is not known")
+        raise ValueError("unknown shape")
 
 
 def _number(shape: ET.Element, key: str) -> float:

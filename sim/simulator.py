@@ -1,4 +1,4 @@
-"""A robot in a world: commands in, observations out. Truth is beside it, never in it."""
+"""The simulator of a robot in a world: commands in, observations out. Observations hold no ground truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands and moves about a robot: what it can touch, what its lidar sees, where it may stand."""
+"""The robot's surroundings, static and moving: contacts, lidar outlines, and where the robot can stand."""
 
 from __future__ import annotations
 

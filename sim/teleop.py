@@ -1,8 +1,8 @@
-"""Teleop scripts: what a person with a joystick does, written down as YAML.
+"""Teleop scripts in YAML (keyboard teleop is in `pipeline/terminal/keyboard.py`).
 
-The driver is a simulated person who stands beside the robot and SEES it: it steers by the true pose.
+The driver is a simulated person who watches the robot: it steers by the true pose.
 It belongs to the recording, like the true trajectory; no estimator, planner or controller imports it,
-and nothing of it reaches an Observation but the motion itself.
+and only the motion itself reaches an Observation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A robot specification as URDF text: one rigid body with its masses, and wheels on revolute joints."""
+"""A robot specification as URDF: one rigid body with its masses, and wheels on revolute joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motor layer and wheel odometry: what the robot's own board does, with the numbers it believes."""
+"""Motor layer and wheel odometry, as on the robot's board, with its (imperfect) calibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A world: solids on a floor, a place to start, and who walks about."""
+"""A world: solids on a floor, a spawn pose, and moving obstacles."""
 
 from __future__ import annotations
 

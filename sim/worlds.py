@@ -158,7 +158,7 @@ def _from_sdf(path: Path, settings: str) -> World:
         raise InputError(f"{path}: an SDF world has no option '{key}' (it has: spawn)")
     name, solids = load_sdf(path)
     if not solids:
-        raise InputError(f"{path}: holds no static boxes, cylinders, spheres or meshes")
+        raise InputError(f"{path}: contains no static boxes, cylinders, spheres or meshes")
     bounds = _mappable(bounds_of(tuple(solids), 2.0), str(path))
     try:
         spawn = SE2.from_xyt(*(float(part) for part in value.split("/"))) if value else None
@@ -172,9 +172,9 @@ def _mappable(bounds: tuple[float, float, float, float], where: str) -> tuple[fl
     """The bounds, or an InputError when a map of them is empty or beyond all memory."""
     width, depth = bounds[1] - bounds[0], bounds[3] - bounds[2]
     if not (width > 0.0 and depth > 0.0):
-        raise InputError(f"{where}: bounds: x_min, x_max, y_min, y_max must grow in pairs")
+        raise InputError(f"{where}: bounds: x_min must be below x_max, and y_min below y_max")
     if not width * depth <= MOST_M2:
-        raise InputError(f"{where}: {width:.3g} m x {depth:.3g} m is too large a world for a map of it")
+        raise InputError(f"{where}: {width:.3g} m x {depth:.3g} m is too large for a map")
     return bounds
 
 

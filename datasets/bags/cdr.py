@@ -1,4 +1,4 @@
-"""ROS 2 messages as bytes (CDR, little endian), from templates in which only what changes is patched."""
+"""Serialise ROS 2 messages (CDR, little endian): templates in which only the changing bytes are patched."""
 
 from __future__ import annotations
 

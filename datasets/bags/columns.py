@@ -1,4 +1,4 @@
-"""Many messages of one topic decoded at once: where all share a layout, a field is a column of bytes."""
+"""Decode many messages of one topic at once: if all share a layout, a field is a column of bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Between the kinds of recordings: ROS 1 .bag, rosbag2 in mcap or sqlite3, and CARMEN into rosbag2."""
+"""Convert recordings: ROS 1 .bag to and from rosbag2 (mcap or sqlite3), and CARMEN logs to rosbag2."""
 
 from __future__ import annotations
 

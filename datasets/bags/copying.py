@@ -1,4 +1,4 @@
-"""Messages of one bag into another: the same bytes, or translated between the layouts of ROS 1 and 2."""
+"""Copy messages from one bag to another: the same bytes, or translated between ROS 1 and ROS 2."""
 
 from __future__ import annotations
 

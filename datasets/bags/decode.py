@@ -1,4 +1,4 @@
-"""The few message types we understand, from their bytes: CDR of ROS 2 and the plain layout of ROS 1."""
+"""Decode the message types we use, from ROS 2's CDR and ROS 1's plain layout."""
 
 from __future__ import annotations
 

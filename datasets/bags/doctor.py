@@ -1,4 +1,4 @@
-"""What is wrong with a bag, and what each defect would break in mapping, localisation or in other tools."""
+"""`bag doctor`: defects of a bag, and what each would break in mapping, localisation or other tools."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rosbag2 folder being written: any topics, one MCAP file, metadata.yaml at the very end."""
+"""Write a rosbag2 folder: any topics, one MCAP file, metadata.yaml last."""
 
 from __future__ import annotations
 

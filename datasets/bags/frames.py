@@ -1,4 +1,4 @@
-"""The frames of a recorded robot: where a sensor sits, from /tf_static and still links of /tf."""
+"""The frames of a recorded robot: sensor poses from /tf_static and constant links of /tf."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bag as mapping and localisation see it: scans, odometry, the laser's place. Never truth."""
+"""A bag as input of mapping and localisation: scans, odometry, the laser's pose. Never ground truth."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The part of an mcap that holds some of its topics, read by ranges: its index, then the chunks that matter.
+"""Read some topics of a remote mcap by byte ranges: the index first, then the chunks with these topics.
 
-What comes out is an mcap of these chunks, as they are, with all topics and metadata of the file. Damage is
-raised where the index does not say enough; then the file has to be read whole.
+The result is an mcap of these chunks, unchanged, with all topics and metadata of the file. Damage is
+raised if the index is insufficient; then the whole file has to be read.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reading MCAP front to back: checksums are verified before a single message of a chunk is given out."""
+"""Read MCAP files front to back: a chunk's checksum is verified before any of its messages is returned."""
 
 from __future__ import annotations
 

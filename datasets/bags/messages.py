@@ -1,4 +1,4 @@
-"""What every storage file gives: messages, each with the topic that it was recorded on."""
+"""A recorded message with its topic, as every storage file returns it."""
 
 from __future__ import annotations
 

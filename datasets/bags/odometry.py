@@ -1,4 +1,4 @@
-"""Odometry of a bag at the stamps of its scans, and where a sensor sits on the robot."""
+"""Odometry of a bag at the stamps of its scans, and a sensor's pose on the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Single streams of a bag: poses, commands, particles and plans; and what a bag holds."""
+"""Single streams of a bag: poses, commands, particles and plans; and a bag's contents."""
 
 from __future__ import annotations
 

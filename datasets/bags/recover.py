@@ -1,4 +1,4 @@
-"""What can be saved of a damaged or unfinished bag, as a new and whole one."""
+"""`bag recover`: a complete bag from what is readable in a damaged or unfinished one."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Bags and logs behind a URL: what mapping needs of them, brought to a folder of this machine.
+"""Remote bags and logs by URL: download what mapping needs to a local folder.
 
-An mcap is read by ranges (`mcap_ranges`); every other file, and an mcap without an index, is fetched whole.
+An mcap is read by ranges (`mcap_ranges`); any other file, and an mcap without an index, is downloaded whole.
 """
 
 from __future__ import annotations

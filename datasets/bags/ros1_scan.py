@@ -1,7 +1,7 @@
-"""Reading ROS 1 bags front to back: unindexed and cut ones (.bag.active) as far as they go.
+"""Read ROS 1 bags front to back, also unindexed and truncated ones (.bag.active).
 
 Layout: http://wiki.ros.org/Bags/Format/2.0. It has no checksums, so a flipped byte inside a message is not
-seen; one in the structure ends the reading or is stepped over.
+detected; one in the structure ends the reading or is skipped.
 """
 
 from __future__ import annotations

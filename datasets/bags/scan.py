@@ -1,7 +1,7 @@
-"""What mcap and ROS 1 files have in common for one who reads them front to back, trusting nothing.
+"""Base of the defensive front-to-back readers of mcap and ROS 1 files.
 
-Damage ends the data or is stepped over, and is named. Indices are not used for reading, so unfinished files
-read as far as they go.
+Damage ends the data or is skipped, and is reported. Indices are not used, so unfinished files are read as far
+as they go.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""LaserScan messages into one matrix of ranges with one geometry, whatever the driver's habits."""
+"""LaserScan messages as one matrix of ranges with one beam geometry, for all drivers' conventions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opening a bag of any kind: which files it has, and its messages one after the other."""
+"""Open a bag of any kind: its files, and its messages in order."""
 
 from __future__ import annotations
 

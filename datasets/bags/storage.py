@@ -1,4 +1,4 @@
-"""The storage files of bags: mcap, ROS 1 and sqlite3, each giving its messages one after the other."""
+"""The storage files of bags (mcap, ROS 1, sqlite3), each as an iterator of messages."""
 
 from __future__ import annotations
 

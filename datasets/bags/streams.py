@@ -1,4 +1,4 @@
-"""The messages of a bag that mapping may use, gathered in one pass. Truth is left where it lies."""
+"""Collect the messages of a bag that mapping may use, in one pass. Ground truth is not read."""
 
 from __future__ import annotations
 

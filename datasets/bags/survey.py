@@ -1,4 +1,4 @@
-"""One pass over a bag that gathers what the doctor judges."""
+"""One pass over a bag that collects the data for `bag doctor`."""
 
 from __future__ import annotations
 

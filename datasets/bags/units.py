@@ -1,4 +1,4 @@
-"""Times, places and units that cannot be: told once, for the doctor who names and the map that mends them."""
+"""Implausible times, positions and units: the limits that `bag doctor` reports and mapping corrects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recording: observations, commands and truth as a rosbag2 folder with one MCAP file."""
+"""Record observations, commands and ground truth to a rosbag2 folder with one MCAP file."""
 
 from __future__ import annotations
 

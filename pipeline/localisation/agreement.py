@@ -1,8 +1,8 @@
-"""How well scans agree with the map at the estimate, and so how much to search: augmented MCL.
+"""Augmented MCL: the agreement of scans and map, and the share of random particles that follows from it.
 
 Probabilistic Robotics, section 8.3.5: random particles are mixed in by how far a fast average of the
-agreement is below a slow one. Here they come from a search (see global_search), which costs: when it is
-made is decided here, too.
+agreement is below a slow one. Here they come from a search (see global_search), which is expensive, so when
+to search is also decided here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Adaptive Monte Carlo localisation: where on a known map is the robot, and so where is `odom`.
+"""Adaptive Monte Carlo localisation (AMCL): the robot's pose on a known map, and so the frame `odom`.
 
 Fox 2003 (KLD-sampling), Thrun, Burgard, Fox: Probabilistic Robotics, chapters 4, 6 and 8 (augmented MCL).
 """

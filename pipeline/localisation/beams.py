@@ -1,4 +1,4 @@
-"""A scan as the filter wants it: end points in the base frame at the scan's stamp, motion undone."""
+"""A scan as input of the filter: deskewed end points in the base frame at the scan's stamp."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One pose from a cloud: the weighted mean of its heaviest cluster."""
+"""The pose estimate of a particle cloud: the weighted mean of its heaviest cluster."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Likelihood field: how probable a beam's end point is, from its distance to the nearest obstacle.
+"""Likelihood field: the probability of a beam's end point, by its distance to the nearest obstacle.
 
 Thrun, Burgard, Fox: Probabilistic Robotics, section 6.4. Distances are exact (Euclidean distance
-transform) and live at cell CENTRES, so an obstacle lies where its cell's centre lies and nothing is
+transform) and refer to cell CENTRES, so an obstacle is at its cell's centre and nothing is
 shifted by half a cell.
 """
 

@@ -1,12 +1,12 @@
-"""The estimate finer than the particles: one pose, tracked beside the cloud on the map's surfaces.
+"""The fine pose: an estimate more accurate than the particles, tracked on the map's surfaces.
 
-The cloud finds and keeps the right place; its mean is only as fine as the map's cells and the number
-of particles. Near that mean one pose is predicted by odometry and corrected by point-to-line matching
-of ALL beams (see wall_filter). It starts from the cloud, and starts again whenever
-the two disagree, so it can never be where the cloud is not.
+The particle cloud finds and keeps the right place, but its mean is limited by the map's cells and the number
+of particles. Near that mean, one pose is predicted by odometry and corrected by point-to-line matching
+of ALL beams (see wall_filter). It starts from the cloud, and restarts whenever
+the two disagree, so it never leaves the cloud.
 
-The alphas keep a cloud wide enough to find its way back; odometry's noise beside its systematic error,
-which is a state here, is mostly far smaller. How much smaller is learned from the NIS of the scans.
+The alphas keep the cloud wide enough to recover; apart from its systematic error,
+which is a state here, odometry is mostly far less noisy. How much less is learned from the NIS of the scans.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Finding the robot from nothing: poses drawn from what one scan says about the whole free space.
+"""Global localisation: poses drawn from the likelihood of one scan over the whole free space.
 
-A cloud of some thousand particles drawn over a building has none near the truth to the width of the
-likelihood's peak. So candidates are annealed (Deutscher, Blake, Reid 2000; tempering as in Del Moral,
-Doucet, Jasra 2006): weighed by a flattened likelihood, resampled, shaken, weighed by a steeper one.
+Of a few thousand particles drawn over a building, none is within the width of the likelihood's peak
+of the truth. So candidates are annealed (Deutscher, Blake, Reid 2000; tempering as in Del Moral,
+Doucet, Jasra 2006): weighted by a flattened likelihood, resampled, perturbed, weighted by a steeper one.
 As a source of the recovery's random particles this is sensor resetting (Lenser, Veloso 2000).
 
-Here the paths of the beams count, too: a beam seen through a wall, or one without return that ends at
-a wall, speaks against a pose. The likelihood field alone cannot know that.
+The paths of the beams count, too: a beam seen through a wall, or one without return that ends at
+a wall, is evidence against a pose, which the likelihood field alone does not have.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class GlobalSearch:
     def uniform(self, count: int, rng: np.random.Generator) -> Array:
         """`count` poses, (count, 3), on free cells with any heading; ValueError when no cell is free."""
         if len(self._free) == 0:
-            raise ValueError("the map has no free cell to be in")
+            raise ValueError("the map has no free cell")
         cells = self._free[rng.integers(len(self._free), size=count)]
         within = rng.uniform(-0.5, 0.5, size=(count, 2)) * self._grid.resolution
         yaw = rng.uniform(-np.pi, np.pi, size=count)

@@ -1,4 +1,4 @@
-"""What a localiser is: it says where on a known map the robot is, scan by scan."""
+"""The contract of a localiser: it estimates the robot's pose on a known map, scan by scan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bringing a pose to where scans agree best with the map near by: a search over ever finer steps."""
+"""Local search: the pose nearby where scans agree best with the map, in ever finer steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The localisers there are, by the names that the setting `localiser` gives them."""
+"""The localisers, by their names in the setting `localiser`."""
 
 from __future__ import annotations
 

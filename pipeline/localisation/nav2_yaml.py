@@ -1,6 +1,6 @@
-"""Settings of the filter from an amcl parameter file: Nav2's, or ROS 1's, which has no sections.
+"""AMCL settings from a Nav2 parameter file, or from a ROS 1 one, which has no sections.
 
-ROS 1's odom_alpha1 to 4 are taken as those of its `diff-corrected` model, which are variances as here.
+ROS 1's odom_alpha1 to 4 are read as those of its `diff-corrected` model, which are variances as here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read_nav2(data: dict[str, Any], *, where: str) -> tuple[dict[str, Any], list
     node = {"ros__parameters": data} if _is_flat(data) else _amcl_node(data)
     parameters = node.get("ros__parameters") if isinstance(node, dict) else None
     if not isinstance(parameters, dict):
-        raise InputError(f"{where}: no amcl: ros__parameters: in it")
+        raise InputError(f"{where}: no amcl: ros__parameters: section in it")
     known = {NAMES[name]: value for name, value in parameters.items() if name in NAMES}
     return known, sorted(str(name) for name in parameters if name not in NAMES)
 

@@ -1,9 +1,9 @@
-"""Places that the scans cannot tell from where the robot takes itself to be, and which of them is right.
+"""Pose hypotheses under perceptual aliasing: other places that explain the scans as well as the estimate.
 
-A search from nothing ends in one place; in a building that looks alike twice, the other one explains the
-scans as well. Each such place is kept as a hypothesis: a rigid motion of the map onto itself, by which
-whatever the filter says from then on is carried over (multi-hypothesis localisation: Jensfelt,
-Kristensen 2001). Which one is right is decided by the scans on the way, each hypothesis at its best.
+A global search ends in one place; in a building that repeats itself, another one explains the
+scans as well. Each such place is kept as a hypothesis: a rigid motion of the map onto itself, which is
+applied to every later estimate of the filter (multi-hypothesis localisation: Jensfelt,
+Kristensen 2001). Later scans decide which one is right, each hypothesis aligned at its best.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Noticing that a standing robot has been pushed: its wheels do not turn, but what it sees shifts.
+"""Push detection: a standing robot was pushed if its scans change although its wheels do not turn.
 
-A filter that updates only when the wheels turn (ROS amcl's update_min_d) would not notice; ROS leaves the
-remedy, nomotion_update, to whoever calls it. Here it is called for when most of the view has changed since
-the robot came to rest AND the map explains the scan clearly better from a place a little way off. One who
-walks past changes a part of the view, and no other place explains it better.
+A filter that updates only when the wheels turn (ROS amcl's update_min_d) would not notice; ROS leaves
+calling nomotion_update to the user. Here it is called when most of the view has changed since
+the robot stopped AND the map explains the scan clearly better from a pose nearby. A person
+walking past changes only a part of the view, and no other pose explains it better.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Resampling: low variance draws, and as many of them as KLD-sampling asks for."""
+"""Resampling: low-variance sampling, with the number of particles by KLD-sampling."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Small dense matrices in plain loops: the same to the last bit whatever the machine is doing.
+"""Small dense matrices in plain loops: the result is the same to the last bit, whatever the load.
 
-A threaded BLAS is slower than this for matrices of tens of rows, and its threads disturb the others.
+A threaded BLAS is slower than this for matrices of tens of rows, and its threads compete with the others.
 """
 
 from __future__ import annotations

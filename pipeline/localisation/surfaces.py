@@ -1,4 +1,4 @@
-"""Surfaces of a map, finer than its cells: a smooth wall through the stairs that a grid makes of it.
+"""Subcell surfaces of a map: smooth walls fitted through the staircase of the grid.
 
 Every occupied cell gets the point and normal of a parabola fitted to the occupied cells around it
 (moving least squares, Levin 1998), so that a slanted or round wall is located to a fraction of a cell.

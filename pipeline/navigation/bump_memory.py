@@ -1,4 +1,4 @@
-"""What no lidar sees: noticed when wheels turn and the sweeps stand still, backed off from, kept out of."""
+"""Bump memory: obstacles that the lidar cannot see, noticed when wheels turn but scans do not change."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Active disambiguation: the robot drives to where its pose hypotheses would look different.
+"""Active disambiguation: the robot drives to where the scans expected under its pose hypotheses differ.
 
-The drive is free under every hypothesis: what stops the robot at one of them, stops it. Where nothing
-that can be reached tells them apart, or it takes too long, it says so and gives the goal up: to call a
-goal reached, or to drive on, by the likelier one would be a guess that nobody could tell from knowledge.
+The path must be free under every hypothesis. If no reachable place distinguishes them, or it takes too
+long, the goal is given up with that reason: to report a goal as reached, or to drive on, by
+the likelier hypothesis would be a guess.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What drives the robot in a run: sees observations, returns commands."""
+"""The contract of a task, which drives the robot in a run: observations in, commands out."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def require_task(task: Task, observation: Observation, command: object) -> None:
         answer.require_kind("estimate", task.estimate, SE2)
         answer.require_finite("estimate", task.estimate.xyt, 3)
     if task.sensing.shown_ns != observation.stamp_ns:
-        raise answer.wrong("its sensing must be shown every observation")
+        raise answer.wrong("its sensing must get every observation")
 
 
 class Driver(Task):

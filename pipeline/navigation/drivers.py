@@ -1,4 +1,4 @@
-"""Making drivers: what each of them needs, put together."""
+"""Builds the driver of each task from its components."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The closed loop itself: a mission driven in the simulator, with or without a bag."""
+"""The closed loop: a driver run in the simulator, with or without recording a bag."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The driver of the task `explore`: an unknown world mapped without a script."""
+"""The driver of the task `explore`: maps an unknown world by frontier exploration."""
 
 from __future__ import annotations
 

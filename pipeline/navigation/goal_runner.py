@@ -1,4 +1,4 @@
-"""Pursuing one goal: plan, follow, watch out, recover, and say what became of it."""
+"""Runs one goal: plan, follow, avoid obstacles, recover, and report the outcome."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A localiser in closed loop: feeds it sweeps with the odometry of their time, publishes what it says."""
+"""A localiser in the closed loop: fed with sweeps and the odometry at their stamps; publishes its pose."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Localiser:
         """(stamp [ns], T_map_base) at each sweep taken in: the run's trajectory."""
 
     def tell(self, initial_pose: SE2 | Literal["start", "global"] | None, T_odom_base: SE2) -> None:
-        """The 2D pose estimate, or to find out by itself; `start` is where odometry begins, which is true."""
+        """Set the pose estimate, or start global localisation; `start`: true pose where odometry begins."""
         if initial_pose == "global":
             self.amcl.initialise_globally()
         elif initial_pose is not None:

@@ -1,4 +1,4 @@
-"""What a run is measured by: the goals it was given, and the floor it went over."""
+"""The metrics of a run: its goals, and the floor it has seen."""
 
 from __future__ import annotations
 

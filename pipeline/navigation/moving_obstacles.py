@@ -1,4 +1,4 @@
-"""Things that move: which of the points seen now are of such, and when to stand still for them."""
+"""Moving obstacles: which points of the scan belong to them, and when to stop for them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The driver of `goal` and `patrol`: localises, asks the task where to go, runs goal after goal.
+"""The driver of `goal` and `patrol`: localises, and runs the goals one after another.
 
 Without a localiser (mapless goals) it trusts odometry: goals and costmap are in the odometry frame.
 """
@@ -22,7 +22,7 @@ from turtlebag.planners.tasks.sequence import GoalSequence
 PATIENCE_S = 30.0
 """Without a scan for so long the goals are given up."""
 LOST = "the robot no longer knows where it is"
-ALIKE = "two places on the map look alike, and no view was found that tells them apart"
+ALIKE = "two places on the map look alike, and no reachable view distinguishes them"
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""The map of a robot that drives: `slam.mapper` fed with observations."""
+"""Mapping while driving: `slam.mapper` fed with observations."""
 
 from __future__ import annotations
 

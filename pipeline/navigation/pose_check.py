@@ -1,4 +1,4 @@
-"""A pose that the user gave for a map: refused in one line when the robot could not stand there."""
+"""Checks the user's poses on a map: refused in one line if the robot cannot stand there."""
 
 from __future__ import annotations
 

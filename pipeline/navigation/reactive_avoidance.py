@@ -1,8 +1,8 @@
-"""Reactive obstacle avoidance, `avoid.mode=guarded`: the tutorial's tiers for a robot that knows its shape.
+"""Reactive obstacle avoidance, `avoid.mode=guarded`: the tutorial's tiers, with the robot's footprint.
 
-It never asks for a motion that the last sweep shows to end in a touch, treats beams that are too
-short to measure as touching, turns one way until the way is free, notices by comparing sweeps that
-its wheels turn and it does not move, backs off from what it cannot see and remembers where that was.
+It never commands a motion that would end in contact by the last sweep, treats beams below the minimum
+range as contact, turns one way until the path is free, notices by comparing sweeps that
+its wheels turn but it does not move, backs off from obstacles it cannot see and remembers where they are.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a run leaves behind: the bag, the run log, both trajectories. The only place that sees the truth."""
+"""Records a run: bag, run log, both trajectories. The only module of navigation that sees ground truth."""
 
 from __future__ import annotations
 

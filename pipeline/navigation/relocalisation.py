@@ -1,4 +1,4 @@
-"""A robot that finds out where it is: events for `relocalisation_states.py`, commands for its states."""
+"""Relocalisation of a lost robot: events for `relocalisation_states.py`, and commands for its states."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What to do about not knowing where the robot is: one state machine, its diagram in docs/architecture.md.
+"""The state machine of relocalisation; its diagram is in docs/architecture.md.
 
-Pure bookkeeping over what the localiser says of itself; it never sees a pose.
+Pure bookkeeping of the localiser's status; it never sees a pose.
 """
 
 from __future__ import annotations

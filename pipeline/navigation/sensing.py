@@ -1,4 +1,4 @@
-"""What the lidar sees round the robot, in the odometry frame, with the motion during the sweep undone."""
+"""Deskewed scans around the robot, in the odometry frame."""
 
 from __future__ import annotations
 

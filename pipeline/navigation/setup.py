@@ -1,4 +1,4 @@
-"""Turning what the user asked for into a driver; bad goals and maps are refused here."""
+"""Turns the options of `navigate` into a driver; bad goals and maps are refused here."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What a person at the terminal is told while a run goes on, and of its end.
+"""Status lines on the terminal during a run, and at its end.
 
-Where the robot takes a goal to be reached and the truth says otherwise, the words are `believed reached`:
-`reached` alone is what is true.
+If the robot believes that it has reached a goal and ground truth says otherwise, the line says `reported as
+reached`: `reached` alone is the truth.
 """
 
 from __future__ import annotations

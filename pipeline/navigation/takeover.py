@@ -1,7 +1,7 @@
-"""One owner of cmd_vel at a time: whoever has the keyboard, or a script of it, goes before the task.
+"""Teleop override: cmd_vel has one owner at a time, and keyboard or script has priority over the task.
 
-As with twist_mux, the one who takes over needs no leave, and the task keeps looking and localising
-meanwhile. As with Nav2's collision monitor, which stands behind the mux, what is asked for is
+As with twist_mux, an override needs no permission, and the task keeps sensing and localising
+meanwhile. As with Nav2's collision monitor behind the mux, commands are
 still stopped short of what the lidar sees, unless that is switched off.
 """
 

@@ -1,4 +1,4 @@
-"""Point-to-line alignment of one scan with a set of key scans: the kernel everything else is built on."""
+"""Point-to-line ICP of a scan with a set of key scans: the kernel of front end, loops and refinement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a back end is: it finds the poses that agree best with what a pose graph says."""
+"""The contract of a back end: it finds the poses that fit a pose graph's constraints best."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import Gtsam
 
 BackEndName = Annotated[
-    str, part_of("gtsam"), Field(description="what solves the graph", exclude_if=lambda name: name == "gtsam")
+    str, part_of("gtsam"), Field(description="solves the pose graph", exclude_if=lambda name: name == "gtsam")
 ]
 
 

@@ -1,9 +1,9 @@
-"""What the scans teach about the odometry: its systematic errors, and how noisy the rest is.
+"""Odometry calibration by the scans: systematic errors of the wheels, and the remaining noise.
 
-Wheels are not quite as large nor as far apart as the robot believes, so odometry is wrong by nearly
-constant shares (Censi et al. 2013). Where scans see all directions they tell these shares; where they
-are blind - a bare corridor longer than the lidar's range - odometry alone is left, and is then the
-better for it: 1 % of wheel radius is 10 cm on 10 m.
+Wheel radius and separation are never exactly as configured, so odometry is wrong by nearly
+constant shares (Censi et al. 2013). Where scans see all directions they measure these shares; where they
+are blind - a bare corridor longer than the lidar's range - only odometry is left, and the calibration
+pays off: 1 % of wheel radius is 10 cm on 10 m.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Clouds of some scans of a log: only those that are worked on need be in memory."""
+"""Clouds of a part of a log, so that only the scans in use are in memory."""
 
 from __future__ import annotations
 

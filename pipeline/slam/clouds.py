@@ -1,4 +1,4 @@
-"""Every scan of a log as points with surface lines: what all matching works on.
+"""The scans of a log as points with surface lines, the input of all matching.
 
 Points of all scans lie in one array, scan i in rows `starts[i]:starts[i + 1]`; the numba kernels take
 the tuple whole. Each point carries the line fitted to its neighbours on the same

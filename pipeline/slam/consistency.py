@@ -1,8 +1,8 @@
-"""Which recognised places can be true together: pairwise consistency and its largest agreeing sets.
+"""Pairwise consistency of recognised places (PCM), and the largest consistent sets.
 
-Pairwise consistent measurements (PCM), Mangelson et al. (2018): two places recognised by two submaps are
-consistent when the cycle through both closes as well as the drift between them allows. What is true is
-consistent with all else that is true; what a repeating building fakes agrees with less.
+Mangelson et al. (2018): two places recognised by two submaps are
+consistent if the cycle through both closes within the drift between them. True places are
+consistent with all other true ones; false ones in a repetitive building with fewer.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Which point of another scan a point belongs to, and which line of it.
+"""Correspondences between the points of a scan and the lines of key scans.
 
 Correspondences are projective: a point is looked up by its bearing in the key scan, and the nearest
-of the points seen around that bearing is taken. No search tree is built, and what the key scan could
-not have seen (behind its walls) finds no partner by itself.
+of the points around that bearing is taken. No search tree is needed, and points that the key scan could
+not have seen (behind its walls) get no correspondence.
 """
 
 from __future__ import annotations

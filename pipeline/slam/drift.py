@@ -1,8 +1,8 @@
-"""How far off one key scan may lie as seen from another: the covariance gathered along the graph.
+"""Drift: the covariance of one key scan's pose relative to another, accumulated along the graph.
 
-Every step and loop says how well it is known, heading included. Written about the map's origin, as motions
-of the whole plane, their covariances simply add up along a way through the graph; at the end of the way they
-are read where the key scan is. A turn that is off by little then moves a far place by much.
+Every step and loop has a covariance, heading included. Expressed at the map's origin, as motions
+of the whole plane, covariances simply add up along a path through the graph; at its end they
+are evaluated at the key scan. So a small heading error moves a distant place far.
 """
 
 from __future__ import annotations

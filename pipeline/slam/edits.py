@@ -1,4 +1,4 @@
-"""What a person says of loops: that two scans did not see the same place, or that they did."""
+"""Loop edits by the user: pairs of scans that did, or did not, see the same place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why the map is as it is: every loop candidate, the worst edges, the map before and after."""
+"""`map --explain`: every loop candidate, the worst edges, the map before and after."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What a front end is: it says where each scan of a log was taken, one after another.
+"""The contract of a front end: it estimates the pose of each scan of a log, in order.
 
-`tracker.Tracker` drives it and does what all front ends share: it undoes the odometry's systematic errors,
-carries the robot until the first scan that others can be matched with, chooses the key scans, and keeps
-the `Track` that loops and refinement start from. So a front end is one method, and fits on a page.
+`tracker.Tracker` calls it and does what all front ends share: it corrects the odometry's systematic errors,
+uses odometry until the first scan that others can be matched with, selects the key scans, and keeps
+the `Track`, the input of loops and refinement. So a front end is one method, and fits on a page.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The front ends there are, by the names that the setting `front_end` gives them."""
+"""The front ends, by their names in the setting `front_end`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The whole graph of a map in one file, `graph.npz`: all that it takes to go on with another recording.
+"""`graph.npz`: the whole graph of a map in one file, so that another recording can be added.
 
 Scans, odometry, track, key poses, constraints and the records of loops, as plain arrays (NumPy's npz, no
-pickled objects); the lists of records and the settings as JSON. What is read back is what was written, to
+pickled objects); the lists of records and the settings as JSON. Reading returns what was written, to
 the last bit.
 """
 
@@ -134,13 +134,13 @@ def load_session(folder: Path) -> tuple[Session, SlamConfig]:
     can be read."""
     path = folder / FILE
     if not path.is_file():
-        raise InputError(f"{folder}: no {FILE} here to continue from; map its recording again")
+        raise InputError(f"{folder}: no {FILE} to continue from; map its recording again")
     try:
         require_bounded_zip(path)
         with np.load(path, allow_pickle=False) as stored:
             return _session({name: stored[name] for name in stored.files})
     except UNREADABLE as error:
-        raise InputError(f"{path}: not a graph that can be read ({error})") from None
+        raise InputError(f"{path}: not a readable graph ({error})") from None
 
 
 def require_same_front_end(folder: Path, before: SlamConfig, now: SlamConfig) -> list[str]:
@@ -156,7 +156,7 @@ def require_same_front_end(folder: Path, before: SlamConfig, now: SlamConfig) ->
                 f"--continue {folder}: its graph was made with {key}={was}, not {is_now}; "
                 f"give --set {key}={was}, or map its recording again"
             )
-        notes.append(f"--continue {folder}: {key} was {was} there; all sessions are joined with {is_now}")
+        notes.append(f"--continue {folder}: {key} was {was} there; now {is_now} for all sessions")
     return notes
 
 
@@ -223,16 +223,16 @@ def _check(stored: dict[str, Any], beams: int) -> None:
             sizes.setdefault(letter, size) for letter, size in zip(shape, array.shape, strict=False)
         )
         if array.ndim != len(shape) or array.shape != expected:
-            raise ValueError(f"{name} does not fit the rest")
+            raise ValueError(f"{name} is inconsistent with the rest")
         # no rows are written as no numbers, whatever they would hold
         if array.dtype.kind != {"n": "f"}.get(kind, kind) and array.size:
-            raise ValueError(f"{name} holds something else")
+            raise ValueError(f"{name} has the wrong type")
         largest = FARTHEST if "T_" in name else FARTHEST**2
         if kind == "n" and array.size and not np.abs(array).max() <= largest:
-            raise ValueError(f"{name} holds impossible numbers")
+            raise ValueError(f"{name} has impossible values")
         limit = sizes.get(INDICES.get(name, ""))
         if limit is not None and array.size and not 0 <= array.min() <= array.max() < limit:
-            raise ValueError(f"{name} refers to what is not there")
+            raise ValueError(f"{name} refers to missing entries")
     if keys == 0 or (np.diff(stored["track_keys"]) <= 0).any():
         raise ValueError("its keys are not in order")
 

@@ -1,4 +1,4 @@
-"""Clouds to which scan after scan is appended, each prepared once, and from which old ones are dropped."""
+"""Growing clouds: scans are appended, each prepared once, and old ones dropped."""
 
 from __future__ import annotations
 

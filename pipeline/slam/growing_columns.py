@@ -1,4 +1,4 @@
-"""Arrays of a log that goes on: to all of them is appended, and out of all of them is taken, at once."""
+"""Growing arrays with one row per scan; rows are appended to and removed from all of them together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pose graph of the plane that grows (iSAM2), and out of which keys are taken."""
+"""Incremental planar pose graph (iSAM2), from which keys can be removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A log as it is being driven: what every scan brings is appended, and given as a `Recording`."""
+"""The log of a running robot: scans are appended, and it can be read as a `Recording`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops of a log that goes on: one alignment at a time, and the graph kept by iSAM2."""
+"""Loop closure while the robot drives: one alignment at a time, with iSAM2 as back end."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The gyro as evidence of rotation: it knows nothing of wheels, and does not slip.
+"""Wheel slip in turns, detected and corrected by the gyro.
 
-Where it proves itself - it turns with the odometry most of the time - each turn of the odometry that
-stands out from it is a slip, and the gyro's turn takes its place. All other turns stay the wheels' own:
-over a whole drive a gyro's bias wanders further than good wheels err (house: 4.3 mm become 5.8 mm).
+If the gyro is credible - it turns with the odometry most of the time - each turn of the odometry that
+clearly differs from it is a slip, and is replaced by the gyro's turn. All other turns stay the wheels':
+over a whole drive a gyro's bias drifts more than good wheels do (house: 4.3 mm become 5.8 mm).
 """
 
 from __future__ import annotations

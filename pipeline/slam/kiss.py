@@ -1,11 +1,11 @@
-"""KISS-ICP as front end: every scan on the voxel map of those before, by points alone.
+"""KISS-ICP as front end: every scan is registered point-to-point on the voxel map of the earlier ones.
 
-Vizzo et al. (2023), "KISS-ICP: In Defense of Point-to-Point ICP". Its pipeline has no odometry input, so its
-parts are used - voxel map, adaptive threshold, registration - started from the odometry and from a steady
-motion, which alone is left without odometry. One thread, for the same bits every time. All points of a scan
-are registered: thinned as KISS-ICP thins a hundred thousand points, the few of a planar lidar say half as
-much (CSAIL: a step is off by 3.3 cm, with all of them by 1.5 cm). In the line tracker it places the scans
-that have no surfaces: posts, table legs, thin trunks.
+Vizzo et al. (2023), "KISS-ICP: In Defense of Point-to-Point ICP". Its pipeline has no odometry input, so
+its components are used - voxel map, adaptive threshold, registration - started from the odometry and from
+constant velocity (without odometry, from the latter alone). One thread, for reproducible results. All points
+of a scan are registered: downsampled as KISS-ICP does for a hundred thousand points, the few of a planar
+lidar are half as accurate (CSAIL: a step is off by 3.3 cm, with all points by 1.5 cm). In the line tracker
+it registers the scans without surfaces: posts, table legs, thin trunks.
 """
 
 from __future__ import annotations

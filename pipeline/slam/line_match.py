@@ -1,4 +1,4 @@
-"""Our own loop matcher: points on the lines of surfaces, with a second opinion by Open3D's ICP."""
+"""Our loop matcher: point-to-line alignment, with a second opinion by Open3D's ICP."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The line tracker: each scan matched with the last key scans, several hypotheses competing.
+"""The line tracker, our front end (ICP odometry): each scan aligned with the last key scans.
 
-Odometry can lie (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
+Odometry can be wrong (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
 therefore aligned from several starts - odometry, constant velocity - and scored by how well it fits
-where the key scans looked; the alignment itself carries odometry as a heavy-tailed prior, which decides
-the directions the scan cannot see and gives way where the scan contradicts it. Wheels that the scans
-keep contradicting lose that say until the scans confirm them. Scans without surfaces (posts, legs)
+where the key scans looked. Odometry is a heavy-tailed prior of the alignment: it determines
+the directions that the scan cannot observe and gives way where the scan contradicts it. Wheels that the scans
+keep contradicting are ignored until the scans confirm them. Scans without surfaces (posts, legs)
 are registered by KISS-ICP.
 """
 

@@ -1,4 +1,4 @@
-"""Whether a loop is believed: what is asked of an alignment before it enters the graph."""
+"""Loop acceptance: the checks of an alignment before it enters the graph."""
 
 from __future__ import annotations
 

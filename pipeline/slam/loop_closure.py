@@ -1,4 +1,4 @@
-"""From the front end's track to a closed graph: loops by distance, then by place recognition."""
+"""Loop closure: from the front end's track to a closed graph, by distance, then by place recognition."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What a loop matcher is: it lays a stretch of key scans on a place they may have come back to.
+"""The contract of a loop matcher: it aligns a stretch of key scans with a place they may have returned to.
 
-Loops by distance and places recognised ask the same matcher. A search has led it near the answer, and the
-limits of those who ask (`min_overlap`) judge by what it says.
+Loops by distance and recognised places use the same matcher. A search provides the initial pose, and the
+callers judge the result by their own limits (`min_overlap`).
 """
 
 from __future__ import annotations

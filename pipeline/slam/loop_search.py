@@ -1,9 +1,9 @@
-"""Loop closure: where the robot came back to a place it knew.
+"""Loop search by distance: revisits of a known place, offline and online.
 
-Candidates come from distance, within what drift along the graph may have come to (`drift`); each is searched
+Candidates lie within the drift along the graph (`drift`); each is searched
 exhaustively (a few key scans together against the older place's field), aligned by a `LoopMatch`, and
-believed only after the checks of `loop_acceptance`.
-Along a direction the scans are blind in a loop says nothing; the graph takes each with a heavy-tailed kernel.
+accepted only after the checks of `loop_acceptance`.
+A loop has no information along unobservable directions, and enters the graph with a heavy-tailed kernel.
 """
 
 from __future__ import annotations
@@ -45,20 +45,21 @@ class LoopConfig(BaseModel):
     enabled: bool = True
     match: Annotated[str, part_of(*MATCHERS)] = Field(
         default="lines",
-        description="what aligns and judges loops: our point-to-line alignment, Open3D's ICP, or a class of "
-        "yours",
+        description="aligns and checks loops: our point-to-line alignment, Open3D's ICP, or your own class",
     )
     every: int = Field(default=3, gt=0, description="key scans between queries")
-    group: int = Field(default=6, gt=0, description="key scans on each side that form a place")
+    group: int = Field(default=6, gt=0, description="key scans before and after it that form a place")
     min_path_m: float = Field(default=6.0, gt=0.0, description="distance driven since the first visit")
-    reach_m: float = Field(default=4.0, gt=0.0, description="largest distance searched")
+    reach_m: float = Field(default=4.0, gt=0.0, description="largest search distance")
     held_m: float = Field(
-        default=0.2, ge=0.0, description="a place held to within this is left to the refinement, if any"
+        default=0.2,
+        ge=0.0,
+        description="search radius below which places are left to the refinement",
     )
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
-    min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the search")
+    min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="minimum score of the search")
     inflation: float = Field(
-        default=50.0, gt=0.0, description="the information of a match over that of a loop"
+        default=50.0, gt=0.0, description="covariance scale: information of a match over that of a loop"
     )
 
     def matcher(self) -> LoopMatch:

@@ -1,6 +1,6 @@
-"""How far off the key scans of a finished map may lie, by the covariance of its graph.
+"""Position uncertainty of a finished map's key scans, by the covariance of its graph.
 
-Written about one point, as motions of the whole plane (see `drift`), every constraint is a spring between two
+Expressed at one point, as motions of the whole plane (see `drift`), every constraint is a spring between two
 motions, and the graph's information is the Laplacian of these springs.
 """
 

@@ -1,9 +1,9 @@
-"""SLAM while the robot drives: scan by scan, with work and memory bounded by counts, never by the clock.
+"""Online SLAM: scan by scan while the robot drives, with work and memory bounded by counts, not by time.
 
-Front end, loops and factors are the offline mapper's. Each scan is placed as it comes; key scans wait for
-their loops in a queue of which one alignment is done per scan, and iSAM2 (Kaess et al. 2012) keeps the graph.
-Where a place has key scans enough, later ones are taken out of the graph again (a reduced pose graph,
-Johannsson et al. 2012), so that graph and clouds grow with the area seen and not with the time driven.
+Front end, loops and factors are the offline mapper's. Each scan is tracked as it comes; key scans wait for
+their loops in a queue, with one alignment per scan, and iSAM2 (Kaess et al. 2012) solves the graph.
+If a place has enough key scans, later ones are removed from the graph (a reduced pose graph,
+Johannsson et al. 2012), so graph and clouds grow with the area seen and not with the time driven.
 
 What needs the whole log is left to `finish`, which maps all scans as `run_slam` does: places recognised
 beyond the reach of drift, refinement, the odometry's delay, the robot's own body in the scans, the gyro.

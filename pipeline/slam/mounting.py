@@ -1,7 +1,7 @@
-"""A laser that faces another way than is said: shown by where scans and odometry say that the robot went.
+"""Corrects a wrong laser yaw by comparing the direction of motion by scans and by odometry.
 
-However it is mounted, the scans alone tell how far the robot drove, and in which direction of their own; the
-odometry tells in which direction of the robot that was.
+The scans alone show the motion in the laser's frame, however it is mounted; the
+odometry shows it in the robot's frame.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def facing(recording: Recording) -> Recording:
         return recording
     x, y, yaw = recording.T_base_lidar.xyt
     said = (
-        f"the laser's yaw is {turned_deg:.0f} degrees from the recorded mounting (judged by the motion that "
-        "scans and odometry show); corrected"
+        f"the laser's yaw is {turned_deg:.0f} degrees from the recorded mounting (by the motion of scans "
+        "and odometry); corrected"
     )
     T_base_lidar = SE2.from_xyt(x, y, yaw + np.deg2rad(turned_deg))
     return replace(recording, T_base_lidar=T_base_lidar, notes=(*recording.notes, said))

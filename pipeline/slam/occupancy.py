@@ -43,9 +43,9 @@ class OccupancyConfig(BaseModel):
         default=0.25,
         gt=0.0,
         lt=1.0,
-        description="a cell is occupied from this share of returns among the beams that met it",
+        description="a cell is occupied if at least this share of its beams end in it",
     )
-    min_hits: int = Field(default=2, ge=1, description="returns that make a cell occupied")
+    min_hits: int = Field(default=2, ge=1, description="minimum number of returns for an occupied cell")
     behind_share: float = Field(
         default=0.5,
         ge=0.0,
@@ -58,9 +58,9 @@ class OccupancyConfig(BaseModel):
         le=1.0,
         description="in front of a wall a cell stays occupied with at least this share of the wall's hits",
     )
-    margin_m: float = Field(default=0.5, ge=0.0, description="border around what was seen")
+    margin_m: float = Field(default=0.5, ge=0.0, description="margin around the observed area")
     no_return_m: float = Field(
-        default=8.0, ge=0.0, description="a beam without return clears at most this far; 0: nothing"
+        default=8.0, ge=0.0, description="range that a beam without return clears; 0: none"
     )
 
 

@@ -1,4 +1,4 @@
-"""Who saw a motion: the scans, the odometry, both, or neither."""
+"""Trust in odometry: whether scans, odometry, both or neither observed a motion."""
 
 from __future__ import annotations
 

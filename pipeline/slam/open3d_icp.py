@@ -1,4 +1,4 @@
-"""Open3D's ICP: a loop matcher, the matcher of scans without surfaces, and a second opinion on ours."""
+"""Open3D's ICP: a loop matcher, the matcher for scans without surfaces, and a second opinion on ours."""
 
 from __future__ import annotations
 

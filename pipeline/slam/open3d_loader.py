@@ -1,4 +1,4 @@
-"""Importing Open3D: on a machine without libusb, and for results that are the same every time.
+"""Imports Open3D on machines without libusb, and on one thread for reproducible results.
 
 The open3d-cpu wheel links `libusb-1.0.so.0`, which a fresh machine lacks; the package `libusb-package`
 carries it. Loading that copy first, with its symbols made global, satisfies the wheel.

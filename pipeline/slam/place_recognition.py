@@ -1,9 +1,9 @@
-"""Place recognition: loops where drift is larger than any gate, or unknown.
+"""Place recognition: loops where the drift exceeds the search radius, or is unknown.
 
-Loops by distance (`loops`) are looked for where the robot believes to be. Where the track is
-broken or has drifted further than that, submaps are recognised by their looks instead. A place is
-believed only when several submaps in a row agree on it (PCM), nothing they see contradicts it when the
-whole stretch is laid there, and no other place does nearly as well: buildings repeat themselves.
+Loops by distance (`loops`) are searched near the estimated pose. If the track is
+broken or has drifted further, submaps are recognised by appearance. A place is
+accepted only if several submaps in a row agree on it (PCM), the whole stretch placed there does not violate
+free space, and no other place fits nearly as well: buildings repeat themselves.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ class PlaceRecognitionConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
-    candidates: int = Field(default=12, gt=0, description="most similar submaps compared with a query")
+    candidates: int = Field(default=12, gt=0, description="number of most similar submaps to compare")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
     ambiguous_share: float = Field(
-        default=0.35, gt=0.0, description="of the support for another place: the place is ambiguous"
+        default=0.35, gt=0.0, description="ambiguous if another place has this share of the support"
     )
 
 

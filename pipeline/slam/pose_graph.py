@@ -1,4 +1,4 @@
-"""The pose graph of the plane and of space: constraints between key scans, optimised by GTSAM.
+"""The pose graph in 2D and 3D: constraints between key scans, optimised by GTSAM.
 
 Poses of the plane are an `SE2` (n,), those of space matrices (n, 4, 4). Nothing else sees GTSAM's keys, its
 noise models or its failure modes.

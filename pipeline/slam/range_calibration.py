@@ -1,10 +1,10 @@
-"""What all ranges of a lidar are off by, learnt from its own scans.
+"""Range calibration: systematic range errors of a lidar, learnt from its own scans.
 
-A lidar that measures by triangulation sees the spot of its beam a little aside, always by as much: its ranges
-are off by an offset and by the square of the range (the LDS-01's data sheet allows 15 mm near by, and 5 % at
-3.5 m). Two scans that see one wall from two ranges tell both, whatever their poses: the relative pose of each
-pair is eliminated, with the share that the ranges of one turn of the head are longer by than those of the
-other, and the equations of all pairs are summed. A factor common to all ranges cannot be told from a smaller
+A triangulating lidar sees the spot of its beam shifted by a constant amount: its ranges
+have an offset and an error that grows with the square of the range (the LDS-01's data sheet allows 15 mm at
+short range, and 5 % at 3.5 m). Two scans that see one wall from different ranges show both, whatever their
+poses: for each pair, the relative pose and the scale between the two turns of the head are eliminated, and
+the equations of all pairs are summed. A factor common to all ranges cannot be told from a smaller
 world.
 """
 

@@ -1,8 +1,8 @@
-"""How noisy a lidar's ranges are, by its own log.
+"""Range noise of a lidar, estimated from its own log.
 
-In polar coordinates a wall's 1 / r is a cosine of the bearing, so of three neighbouring beams on one wall
-`u(-d) + u(d) - 2 cos(d) u(0)` with u = 1 / r is zero wherever the wall stands and however it is turned.
-What it is instead is noise, by the median over all triples: those across an edge are too few to move it.
+In polar coordinates a wall's 1 / r is a cosine of the bearing, so for three neighbouring beams on one wall
+`u(-d) + u(d) - 2 cos(d) u(0)` with u = 1 / r is zero, whatever the wall's pose.
+Its actual value is noise, by the median over all triples: those across an edge are too few to affect it.
 """
 
 from __future__ import annotations

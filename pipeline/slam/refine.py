@@ -1,4 +1,4 @@
-"""Joint refinement: every key scan against every key scan it overlaps with, all poses at once.
+"""Joint refinement: every key scan aligned with every key scan it overlaps, all poses at once.
 
 Lu and Milios (1997), with point-to-line distances: each overlapping pair is linearised at the current
 poses into a relative pose with its full information matrix, the pose graph is solved, and the pairs
@@ -46,7 +46,7 @@ class RefineConfig(BaseModel):
     """The joint refinement."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0 switches it off")
+    rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0: no refinement")
 
 
 def refine(

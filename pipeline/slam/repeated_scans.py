@@ -1,4 +1,4 @@
-"""Sweeps that a lidar sends again: the robot was not there when they were measured."""
+"""Detects scans that a stuck lidar sends again while the robot moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pose for every scan: carried by the refined key scans, then aligned with the nearest of them."""
+"""Re-registration: a pose for every scan, moved with the refined key scans, then aligned with the nearest."""
 
 from __future__ import annotations
 

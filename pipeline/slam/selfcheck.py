@@ -1,8 +1,8 @@
-"""Is this map good? Asked without any truth.
+"""Self-check: is this map good? Without ground truth.
 
-Revisit consistency: two key scans at the same place must see the same walls. Where one saw through
-what the other saw as a wall, the map is doubled or folded there. Map entropy: how undecided the cells
-are. Lost scans: where neither the walls nor the odometry held the pose.
+Revisit consistency: two key scans at the same place must see the same walls. If one saw through
+what the other saw as a wall, the map is doubled or folded there. Map entropy: the uncertainty of the cells.
+Lost scans: poses constrained by neither walls nor odometry.
 """
 
 from __future__ import annotations
@@ -121,10 +121,10 @@ def check_map(
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]
-        blind = f"; neither scans nor odometry show {unseen.sum():.1f} m of the way" if unseen.any() else ""
+        blind = f"; scans and odometry missed {unseen.sum():.1f} m of the path" if unseen.any() else ""
         reasons.append(
-            f"the pose graph leaves the scans near x {x:.1f}, y {y:.1f} uncertain by {sigma:.2f} m (one "
-            f"standard deviation): the map may be bent there{blind}"
+            f"the pose graph is uncertain near x {x:.1f}, y {y:.1f} by {sigma:.2f} m (one standard "
+            f"deviation): the map may be bent there{blind}"
         )
     violations = np.column_stack([pairs, share])
     return SelfCheck(len(share), mean, bad, len(lost), violations, sigma, certainty, tuple(reasons))

@@ -1,4 +1,4 @@
-"""What a self-check comes to: good, or doubtful for reasons given in words."""
+"""The verdict of a self-check: good, or doubtful with reasons."""
 
 from __future__ import annotations
 

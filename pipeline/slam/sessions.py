@@ -1,4 +1,4 @@
-"""Several recordings of one place in one graph: each is tracked alone, then found in the map so far."""
+"""Multi-session mapping: each recording is tracked alone, then joined to the graph by place recognition."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole of SLAM on one screen: a recording in, a pose for every scan and a grid out."""
+"""Offline SLAM from end to end: a recording in, a pose for every scan and a grid out."""
 
 from __future__ import annotations
 
@@ -73,14 +73,12 @@ class SlamConfig(BaseModel):
     sensors: Sensors = "both"
     front_end: FrontEndName = Field(
         default="lines",
-        description="what places each scan: our line tracker, KISS-ICP, the odometry, or a class of yours",
+        description="estimates the scans' poses: our line tracker, KISS-ICP, odometry, or your own class",
     )
     usable_range_m: float = Field(
-        default=USABLE_M, gt=0.0, description="returns beyond are neither matched nor mapped"
+        default=USABLE_M, gt=0.0, description="longer returns are neither matched nor mapped"
     )
-    deskew: bool = Field(
-        default=True, description="undo the robot's motion during a sweep; switch off if the driver does it"
-    )
+    deskew: bool = Field(default=True, description="deskew the scans; switch off if the driver already does")
     gyro: bool = Field(default=True, description="use the gyro where the wheels slip while turning")
     calibrate_ranges: bool = Field(
         default=True, description="correct the range errors of a short-range lidar"
@@ -199,8 +197,8 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     """The map of a session and of later recordings joined to it."""
     if more and run.config.sensors == "odometry":
         raise InputError(
-            f"{more[0].source}: only scans can tell where it lies in {session.recording.source}; "
-            "map each by itself, or leave out sensors=odometry"
+            f"{more[0].source}: only scans can join it to {session.recording.source}; "
+            "map each separately, or drop sensors=odometry"
         )
     for other in more:
         session = _joined(session, _session(other, run), run)
@@ -236,7 +234,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
 def _session(recording: Recording, run: _Run) -> Session:
     """Front end, loop closure and refinement of one recording."""
     if len(recording) == 0:
-        raise InputError(f"{recording.source}: no scans to map with")
+        raise InputError(f"{recording.source}: no scans to map")
     recording, config = _with_sensors(recording, run.config)
     usable = config.usable(recording.lidar)
     recording = without_repeats(without_own_body(recording), usable)
@@ -260,7 +258,7 @@ def _session(recording: Recording, run: _Run) -> Session:
 
 def _without_odometry(recording: Recording) -> Recording:
     """The recording without an odometry that does not turn when the scans do: another drive's, say."""
-    said = "the odometry does not turn when the scans do, as if it were that of another drive: not used"
+    said = "the odometry does not turn when the scans do (is it from another drive?): not used"
     return replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
 
 

@@ -1,4 +1,4 @@
-"""What a track says of the way from each key scan to the next: the constraints that the graph hangs on."""
+"""The steps of a pose graph: constraints between successive key scans, from the track."""
 
 from __future__ import annotations
 

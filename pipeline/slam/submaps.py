@@ -1,9 +1,9 @@
-"""Places by their looks: submaps of successive key scans, compared without knowing where they lie.
+"""Submaps of successive key scans, compared by appearance, without a pose.
 
-A submap's signature - how far apart its surface points are and how their normals stand to each other -
-changes neither with the viewpoint nor with the heading (in the line of scan context and of surflet-pair
-histograms, Wahl et al. 2003). Two submaps are laid on each other over all translations at once by FFT,
-at the headings at which their histograms of normals agree (Weiss and von Puttkamer 1995).
+A submap's descriptor - the distances of its surface points and the angles between their normals -
+depends neither on the viewpoint nor on the heading (in the line of scan context and of surflet-pair
+histograms, Wahl et al. 2003). Two submaps are correlated over all translations at once by FFT,
+at the headings where their histograms of normals agree (Weiss and von Puttkamer 1995).
 """
 
 from __future__ import annotations

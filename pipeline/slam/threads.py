@@ -1,6 +1,6 @@
-"""Independent items shared between two threads: kernels that release the GIL run side by side.
+"""Runs independent items on two threads; kernels that release the GIL run in parallel.
 
-Every item is worked on by itself and the parts come back in order, so the result depends neither on the
+Items are independent and results come back in order, so they depend neither on the
 number of cores nor on which thread was faster.
 """
 

@@ -1,4 +1,4 @@
-"""What the front end leaves: a pose and a fit for every scan; its settings, and who agrees with whom."""
+"""The track, the front end's result: a pose and a quality for every scan. Also the tracking settings."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class OdometryNoise(BaseModel):
     """Standard deviations of an odometry step, along, across [m] and in turn [rad]."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    floor: float = Field(default=0.005, gt=0.0, description="of a robot at rest [m], [rad]")
-    share: float = Field(default=ODOMETRY_SHARE, ge=0.0, description="of the way, and of the turn")
+    floor: float = Field(default=0.005, gt=0.0, description="noise at rest [m], [rad]")
+    share: float = Field(default=ODOMETRY_SHARE, ge=0.0, description="share of distance and turn")
 
     def information(self, delta: Array) -> Array:
         """Information (3, 3) of one step (3,), in the frame of its end."""

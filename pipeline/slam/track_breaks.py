@@ -1,9 +1,9 @@
-"""Where a track breaks: what neither scans nor odometry confirm may be anything.
+"""Break detection: steps of a track whose motion neither scans nor odometry confirm.
 
-Between two scans the motion is told twice, by the scans and by the odometry. Where scans are missing for a
-while, or one fits nothing that was seen before it, and the two do not surely confirm each other, the track
+The motion between two scans is measured twice, by the scans and by the odometry. If scans are missing for a
+while, or one fits nothing seen before, and the two do not clearly confirm each other, the track
 is broken: the robot may be anywhere. Where scans are blind along a corridor, drift grows faster than
-elsewhere. Both say how far off a place may be when the robot returns to it.
+elsewhere. Both determine how far off a place may be when the robot returns to it.
 """
 
 from __future__ import annotations

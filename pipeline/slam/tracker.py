@@ -1,9 +1,9 @@
-"""What all front ends share: odometry, key scans, calibration, and the track that is left.
+"""The tracker runs a front end over a log: odometry, key scans, calibration, and the resulting track.
 
-The scans of a log are placed one after another by a `FrontEnd`. Before the first scan that others can be
-matched with there is nothing to match, and odometry carries the robot; a scan becomes a key scan when the
-robot has moved on, it has something to match, and the front end is sure of it. From the key scans the
-odometry's systematic errors are learnt as the log goes on.
+A `FrontEnd` estimates the pose of each scan in order. Until the first scan that others can be
+matched with, odometry alone is used; a scan becomes a key scan when the
+robot has moved on, the scan has something to match, and the front end is sure of its pose. The
+odometry's systematic errors are learnt from the key scans on the way.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Odometry that comes late, or runs ahead, by a constant, or turns the other way than the scans, and sweeps
-that turn the other way than said, or are not said to be any: undone.
+"""Compares the turns of scans and odometry: corrects late odometry, flipped lidars and wrong sweep times.
 
-In stretches where the robot turns, the scans alone say how it turned; the delay is the one at which the
-odometry says the same. A lidar that turns has its sweeps undone by the odometry, so they are undone
-again by what was found until that stays the same.
+While the robot turns, the scans alone show how; the delay is the shift at which the odometry shows the
+same turns. Deskewing depends on the odometry, so the scans are deskewed again with the result until it
+no longer changes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The odometry as front end: scans place nothing, loops and refinement are left to do it all."""
+"""Plain odometry as front end: all corrections are left to loops and refinement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The map as one point cloud: the mean of all points in each small voxel, and its file."""
+"""The 3D map as one point cloud (the mean of the points in each small voxel), and its file."""
 
 from __future__ import annotations
 

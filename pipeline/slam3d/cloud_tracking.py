@@ -1,8 +1,8 @@
-"""The front end: every cloud against those before it.
+"""The 3D front end: every cloud is aligned with the earlier ones.
 
-From the odometry's prediction (constant velocity where there is none, and both where they disagree) point to
-plane against the surfels of the last key clouds, or KISS-ICP. A cloud that fits nothing keeps its prediction
-and says so by its small overlap.
+Starting from the odometry's prediction (constant velocity without odometry, both if they disagree), point to
+plane against the surfels of the last key clouds, or KISS-ICP. A cloud that fits nothing keeps its prediction,
+with a small overlap.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How a lidar sits over the floor, from its own clouds: for bags that do not say."""
+"""Height and tilt of a lidar above the floor, from its own clouds, for bags without its mounting."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Loop closure in space: where the robot came back to a place it knew.
+"""Loop closure in 3D: revisits of a known place.
 
-Candidates by distance come from the search of planar scans (`slam.loops`), the log as seen from above; beyond
-its reach from appearance (scan context, and Open3D finds the pose). Surfels align and judge both. What only
-appearance proposed needs a second loop that says the same: rooms look alike.
+Candidates by distance come from the planar search (`slam.loops`), with the log seen from above; beyond
+its reach from appearance (scan context; Open3D finds the pose). Surfels align and verify both. A candidate by
+appearance alone needs a second, consistent one: rooms look alike.
 """
 
 from __future__ import annotations

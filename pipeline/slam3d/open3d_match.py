@@ -1,4 +1,4 @@
-"""Where one place lies in another, from features alone: FPFH and RANSAC by Open3D."""
+"""Relative pose of two places from features alone: FPFH and RANSAC by Open3D."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint refinement in space: every key cloud against the places of the keys it overlaps with."""
+"""Joint refinement in 3D: every key cloud aligned with the places of the key clouds it overlaps."""
 
 from __future__ import annotations
 

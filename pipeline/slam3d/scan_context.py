@@ -1,4 +1,4 @@
-"""Scan context: what a place looks like from above, whatever the heading.
+"""Scan context: a descriptor of a place seen from above, independent of the heading.
 
 Kim and Kim (2018), "Scan Context: Egocentric Spatial Descriptor for Place Recognition": the greatest
 height in each ring and sector around the sensor; the rings' means find candidates (they do not turn with

@@ -1,4 +1,4 @@
-"""Is this 3D map good? Asked without any truth."""
+"""Self-check of a 3D map, without ground truth."""
 
 from __future__ import annotations
 
@@ -77,14 +77,12 @@ def _broken(
     tied = [(*sorted((keys[c.i], keys[c.j])), c.kind) for c in constraints if c.kind in ("pair", "loop")]
     alone = [index for index in lost.tolist() if not any(a < index < b for a, b, _ in tied)]
     if alone:
-        reasons.append(
-            f"cloud {alone[0]} fits nothing before it, and nothing later ties the two parts together"
-        )
+        reasons.append(f"cloud {alone[0]} fits nothing before it, and no later match connects the two parts")
     places = [(a, b) for a, b, kind in tied if kind == "loop"]
     gaps = gaps_between(stamps_ns, track.usable)[:, 1].tolist()
     unknown = [after for after in gaps if not any(a < after <= b for a, b in places)]
     if unknown:
         reasons.append(
-            f"no clouds for a while before cloud {unknown[0]}, and no odometry: what follows may lie anywhere"
+            f"a gap without clouds or odometry before cloud {unknown[0]}: the map after it may be misplaced"
         )
     return reasons

@@ -1,4 +1,4 @@
-"""What the first clouds say of the log: how the lidar sits over the floor, and how far things are."""
+"""Sensor set-up from the first clouds of a log: the lidar's pose above the floor, and the voxel size."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def find_setup(recording: Recording3D, voxel_m: float | None) -> SensorSetup:
         if len(looked) == LOOKED_AT:
             break
     if not looked:
-        raise InputError(f"{recording.source}: no cloud holds enough points to map with")
+        raise InputError(f"{recording.source}: no cloud has enough points for mapping")
     ranges = [np.median(np.linalg.norm(points, axis=1)) for points in looked]
     median = float(np.median(ranges))
     voxel = voxel_m or float(np.clip(VOXEL_SHARE * median, SMALLEST_VOXEL_M, LARGEST_VOXEL_M))
@@ -53,12 +53,12 @@ def find_setup(recording: Recording3D, voxel_m: float | None) -> SensorSetup:
         for floor in (one for one in floors if one is not None):
             tilt = np.degrees(np.arccos(np.clip(floor.normal[2], -1.0, 1.0)))
             note = (
-                f"the bag does not say where the lidar sits: by the floor it sees, {floor.height:.2f} m up "
-                f"and tilted by {tilt:.1f} degrees; assuming that the base is below it"
+                f"the bag does not give the lidar's mounting: by the floor, {floor.height:.2f} m up and "
+                f"tilted by {tilt:.1f} degrees; assuming that the base is below it"
             )
             return SensorSetup(levelled(floor), 0.0, voxel, (note,))
         note = (
-            "the bag does not say where the lidar sits, and no floor is visible: assuming that it is the base"
+            "the bag does not give the lidar's mounting, and no floor is visible: assuming it is at the base"
         )
         return SensorSetup(T, 0.0, voxel, (note,))
     # where the base frame is not on the floor (base_link, say), that lies below it

@@ -1,4 +1,4 @@
-"""The whole of 3D SLAM on one screen: clouds in; a pose for each, a point cloud and a grid out."""
+"""3D SLAM from end to end: clouds in; a pose for each, a point cloud and a grid out."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class Slam3dConfig(Settings):
 
     sensors: Sensors = "both"
     front_end: FrontEnd3d = Field(
-        default="surfels", description="what places each cloud: our surfels, KISS-ICP, or the odometry"
+        default="surfels", description="estimates the clouds' poses: our surfels, KISS-ICP, or odometry"
     )
-    deskew: bool = Field(default=True, description="undo the motion within a sweep, where points have times")
+    deskew: bool = Field(default=True, description="deskew clouds that have times per point")
     voxel_m: float | None = Field(
         default=None,
         gt=0.0,
@@ -96,7 +96,7 @@ def run_slam_3d(
         tracker.add(index, sweep)
     track = tracker.track
     if not track.keys:
-        raise InputError(f"{recording.source}: no cloud holds enough points to map with")
+        raise InputError(f"{recording.source}: no cloud has enough points for mapping")
     steps = step_constraints(track)
     T_keys, constraints, loops, recognised = track.T[track.keys], list(steps), list[Loop](), list[Loop]()
     if config.loops.enabled and len(track.keys) > 2:

@@ -1,7 +1,7 @@
 """A height slice of the 3D map as an occupancy grid.
 
-A band over the floor the robot stands on: points in it are surfaces, and every beam says that the part of
-it within the band is free. What lies above (lintels, table tops) or below (the floor) is in nobody's way.
+A band above the floor: points in it are surfaces, and the part of every beam
+within it is free. What lies above (lintels, table tops) or below (the floor) is not an obstacle.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class SliceConfig(Settings):
     """The slice; heights over the floor."""
 
     low_m: float = Field(default=0.1, description="the floor and its noise lie below this")
-    high_m: float = Field(default=0.3, description="what is higher is no obstacle")
+    high_m: float = Field(default=0.3, description="higher points are not obstacles")
     grid: OccupancyConfig = OccupancyConfig()
 
     @model_validator(mode="after")

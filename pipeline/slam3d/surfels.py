@@ -1,8 +1,8 @@
 """A place as surfels: one small plane in each voxel that holds a flat piece of surface, and point-to-plane
 alignment against them.
 
-The mean of a voxel's points is far better known than any of them, and a scan's own pattern of rings
-leaves no trace in it, where point-to-point matching is pulled towards the rings.
+The mean of a voxel's points is far more accurate than any of them, and does not depend on a scan's pattern
+of rings, which biases point-to-point matching.
 """
 
 from __future__ import annotations

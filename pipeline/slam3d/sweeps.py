@@ -1,4 +1,4 @@
-"""Raw clouds made ready: points in the base frame as if all were taken at the stamp (deskewed).
+"""Deskewed clouds: points in the base frame as if all were taken at the stamp.
 
 The motion within a sweep comes from the odometry's own samples, or from a twist given by the caller.
 """

@@ -1,4 +1,4 @@
-"""Along a path: where a robot is, the point to steer to, how fast each point may be driven."""
+"""Path following: the robot's position along a path, the lookahead point, and speed limits along the path."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Dynamic window approach (Fox, Burgard, Thrun 1997) over a navigation function (Brock, Khatib 1999).
 
-Every arc that can be reached within the acceleration limits is driven in thought with the whole
-footprint; the admissible one that gets nearest to the goal along the floor, and to the path, wins.
+Every arc that can be reached within the acceleration limits is simulated with the whole
+footprint; the admissible one that ends nearest to the goal (distance along the floor) and to the path wins.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether the goal is reached: near, turned right, standing still, and so for a while."""
+"""Goal checker: position and heading within tolerance, standing still, for a while."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every local controller is: a follower of a path that turns poses into commands."""
+"""The contract of a local controller: it follows a path, pose in, command out."""
 
 from __future__ import annotations
 

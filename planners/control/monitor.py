@@ -1,4 +1,4 @@
-"""The collision monitor: whatever the controller says, the robot stops short of what the lidar sees."""
+"""The collision monitor: whatever the command, the robot stops before obstacles that the lidar sees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Driving about without a map: three sectors of the scan, three tiers of distance (the tutorial's rule)."""
+"""Obstacle avoidance without a map: three sectors of the scan, three distance tiers (the tutorial's rule)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where to look next in a half-known world: frontiers between seen floor and the unknown (Yamauchi 1997)."""
+"""Frontier exploration (Yamauchi 1997): the next place to drive to, between free and unknown cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a robot does when it cannot go on: a bounded ladder of small manoeuvres, then it gives up."""
+"""Recovery behaviours: a limited sequence of small manoeuvres, after which the goal is given up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Going to goals one after the other: waiting, timeouts, pauses, laps, and what became of each goal."""
+"""Patrols: goals one after another, with waits, timeouts, pauses and laps, and the outcome of each goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waypoint files: a list of poses, and the places to keep out of."""
+"""Waypoint files: a list of poses, and keep-out areas."""
 
 from __future__ import annotations
 

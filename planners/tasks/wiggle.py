@@ -1,4 +1,4 @@
-"""The tutorial's advice as a behaviour: turn to and fro until the particle cloud has shrunk."""
+"""The tutorial's wiggle: turn back and forth until the particle cloud has converged."""
 
 from __future__ import annotations
 

@@ -150,10 +150,10 @@ def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
     assert reasons(drive, **blind) == ()
     for lying, times in ((range(20, 30), 3.0), (range(46, 56), 3.0), (range(20, 47), 0.0)):
         (reason,) = reasons(drive, T_odom_base=slipping(T, lying, times), **blind)
-        assert "may be bent there; neither scans nor odometry show" in reason
+        assert "may be bent there; scans and odometry missed" in reason
     stands, slips = slipping(T, range(30, 46), 0.0), slipping(T, range(20, 30), 3.0)
     found = reasons(drive, T_track_base=stands, T_odom_base=slips, **blind)
-    assert any("neither scans nor odometry show" in reason for reason in found)
+    assert any("scans and odometry missed" in reason for reason in found)
     assert reasons(drive, T_odom_base=slipping(T, range(24, 25), 3.0), **blind) == ()
     del blind["information"]
     assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0), **blind) == ()
@@ -168,7 +168,7 @@ def test_a_stretch_that_nobody_saw_is_told_where_there_is_no_odometry(drive):
     assert reasons(lidar, information=seen, step_sigma=None) == ()
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
     (reason,) = reasons(lidar, information=seen, step_sigma=None)
-    assert "neither scans nor odometry show 3.7 m of the way" in reason
+    assert "scans and odometry missed 3.7 m of the path" in reason
 
 
 def test_a_log_that_ends_where_nobody_sees_is_told_however_short_the_way(drive):
@@ -178,7 +178,7 @@ def test_a_log_that_ends_where_nobody_sees_is_told_however_short_the_way(drive):
     seen = track.information.copy()
     seen[55:] = np.diag([0.0, 1e5, 1e5])
     (reason,) = reasons(lidar, information=seen, step_sigma=None)
-    assert "neither scans nor odometry show 1.2 m of the way" in reason
+    assert "scans and odometry missed 1.2 m of the path" in reason
 
 
 def test_places_seen_again_hold_a_stretch_that_nobody_saw(drive):
