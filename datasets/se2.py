@@ -109,7 +109,7 @@ class SE2:
         return SE2(_joined(-c * x - s * y, s * x - c * y, wrap(-self.xyt[..., 2])))
 
     def steps(self) -> Array:
-        """Each of n poses as seen from the one before, (n - 1, 3)."""
+        """Each of n poses relative to the previous one, (n - 1, 3)."""
         return (self[:-1].inverse() @ self[1:]).xyt
 
     def matrix(self) -> Array:
@@ -128,7 +128,7 @@ class SE2:
         return SE2.from_xyt(matrix[..., 0, -1], matrix[..., 1, -1], yaw)
 
     def interpolate(self, other: SE2, fraction: ArrayLike) -> SE2:
-        """Pose at `fraction` (0 here, 1 there): straight in position, shortest way in yaw."""
+        """Pose at `fraction` (0: this pose, 1: `other`): linear in position, shortest turn in yaw."""
         f = np.asarray(fraction, dtype=np.float64)
         xy = self.xy + f[..., None] * (other.xy - self.xy)
         yaw = self.yaw + f * wrap(other.yaw - self.yaw)
@@ -136,7 +136,7 @@ class SE2:
 
 
 def _joined(*parts: Array) -> Array:
-    """Parts of equal shape along a new last axis; a control loop asks for single poses, stacked slowly."""
+    """Parts of equal shape along a new last axis; `np.stack` is slow for single poses."""
     return np.stack(parts, axis=-1) if np.ndim(parts[0]) else np.array(parts)
 
 
@@ -154,5 +154,5 @@ def between(a: Array, b: Array) -> Array:
 
 
 def wrapped(angle: float) -> float:
-    """`wrap` of one angle, in a tenth of the time."""
+    """`wrap` of a single angle, ten times as fast."""
     return float((angle + np.pi) % (2.0 * np.pi) - np.pi)

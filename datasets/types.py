@@ -65,17 +65,17 @@ class LidarSpec:
         return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
 
     def returns(self, ranges: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Which ranges of any shape [m] are of a surface."""
+        """Which ranges [m] (any shape) are returns from a surface."""
         return (ranges >= max(self.range_min, NOTHING_M)) & (ranges < self.range_max)
 
     def silent(self, ranges: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Which ranges of any shape say that nothing came back."""
+        """Which ranges (any shape) mean "no return"."""
         return ranges >= self.range_max
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scan:
-    """One sweep. `stamp_ns` is the instant of the first beam; `ranges` is (n_beams,) float32 [m]."""
+    """One sweep. `stamp_ns` is the time of the first beam; `ranges` is (n_beams,) float32 [m]."""
 
     stamp_ns: int
     ranges: NDArray[np.float32]
@@ -86,7 +86,7 @@ class Scan:
         return self.lidar.returns(self.ranges)
 
     def points_lidar(self) -> Array:
-        """Measured points, (n_valid, 2) in the lidar frame, motion during the sweep not undone."""
+        """Measured points, (n_valid, 2) in the lidar frame, not deskewed."""
         ok = self.valid()
         return self.lidar.directions[ok] * self.ranges[ok, None].astype(np.float64)
 
@@ -120,10 +120,10 @@ class Imu:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What the robot itself knows after one control period. Truth never enters here.
+    """Sensor data of one control period, all that the robot knows. It never contains ground truth.
 
-    `scan` is the sweep that was completed within the period, if one was: with a turning lidar
-    its stamp lies up to one scan time before `stamp_ns`. `cloud` is the same of a 3D lidar, with
+    `scan` is the sweep that ended in the period, if any: with a turning lidar
+    its stamp is up to one scan time before `stamp_ns`. `cloud` is the same for a 3D lidar, with
     the stamp of its first beam [ns].
     """
 
@@ -136,8 +136,8 @@ class Observation:
 
 
 def neighbours(stamps_ns: Stamps, wanted_ns: Stamps) -> tuple[Stamps, Stamps, Array]:
-    """For each wanted stamp the indices of those (increasing) before and after it, and how far on the way
-    from the one to the other it is, 0 to 1: the ends are held.
+    """For each wanted stamp the indices of the (increasing) stamps before and after it, and its fraction
+    0 to 1 between them; beyond the ends, the end stamps are used.
     """
     last = len(stamps_ns) - 1
     high = np.clip(np.searchsorted(stamps_ns, wanted_ns, side="right"), 1, max(last, 1))
@@ -160,7 +160,7 @@ class Trajectory:
 
     @staticmethod
     def untimed(poses: SE2) -> Trajectory:
-        """Poses (n,) that have no times, in order."""
+        """Poses (n,) without times, in order."""
         return Trajectory(np.arange(len(poses), dtype=np.int64), poses)
 
     def __len__(self) -> int:
@@ -178,7 +178,7 @@ class Trajectory:
         return seconds(int(np.ptp(self.stamps_ns))) if len(self) else 0.0
 
     def at(self, stamps_ns: Stamps) -> SE2:
-        """Interpolated poses at the given stamps; beyond its ends the end poses are held.
+        """Interpolated poses at the given stamps; beyond the ends, the end poses.
 
         Needs strictly increasing stamps (ValueError otherwise).
         """
@@ -199,14 +199,14 @@ class ImuLog:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A whole planar lidar log in memory: all that mapping and localisation may know.
+    """A whole planar lidar log in memory, the input of mapping and localisation.
 
-    `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117
-    whatever the source said for "no return". `T_odom_base` is the odometry pose at each scan's
-    stamp, (n_scans,), or None when the log has none; `odometry` is its full-rate stream where there
-    is one (None for CARMEN logs, whose odometry comes with each scan). `notes` holds one line for
-    everything that was skipped or repaired while reading. `odometry_late_s` is a delay of the odometry
-    that was undone; `turned_over` says that the lidar was turned over on the odometry's word alone.
+    `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117.
+    `T_odom_base` is the odometry pose at each scan's stamp, (n_scans,), or None if the log has none;
+    `odometry` is the full-rate stream if there is one (None for CARMEN logs, whose odometry comes with
+    each scan). `notes` has one line for everything that was skipped or repaired while reading.
+    `odometry_late_s` is a delay of the odometry that was corrected; `turned_over` means that the lidar was
+    flipped because of the odometry alone.
     """
 
     source: str
@@ -226,7 +226,7 @@ class Recording:
 
     @cached_property
     def stride(self) -> int:
-        """How many beams the lidar's own are apart; more than 1 where geometries share a finer grid."""
+        """Grid steps between the lidar's beams; more than 1 if several geometries share a finer grid."""
         scan, beam = np.nonzero(~np.isnan(self.ranges[:: 1 + len(self) // 400]))
         apart = np.diff(beam)[np.diff(scan) == 0]
         return int(np.bincount(apart).argmax()) if len(apart) else 1
@@ -259,9 +259,9 @@ class Cloud:
 class Recording3D:
     """A 3D lidar log: scans in file order, each with the odometry at its stamp.
 
-    `clouds` may be gone through as often as wanted, one cloud in memory at a time. `T_base_lidar` is
-    (4, 4), identity where the log does not tell (`mounted` is False then). As in `Recording`, truth is
-    not in it.
+    `clouds` can be iterated any number of times, one cloud in memory at a time. `T_base_lidar` is
+    (4, 4), identity if the log does not contain it (`mounted` is False then). As in `Recording`, there is no
+    ground truth in it.
     """
 
     source: str
@@ -284,7 +284,7 @@ class Recording3D:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """What a planner or controller may know of a robot.
+    """The properties of a robot that planners and controllers use.
 
     `footprint` is a convex polygon, (n, 2) counter-clockwise in the base frame [m]; speeds in m/s and
     rad/s, accelerations in m/s^2 and rad/s^2 (the same for braking).
@@ -299,7 +299,7 @@ class RobotModel:
 
     @cached_property
     def circumscribed_radius(self) -> float:
-        """Radius about the base origin that holds the whole footprint [m]."""
+        """Radius of the circle around the base origin that contains the footprint [m]."""
         return float(np.linalg.norm(self.footprint, axis=1).max())
 
     @cached_property

@@ -12,15 +12,15 @@ from turtlebag.planners.costmap import Costmap
 
 
 class NoPath(Exception):
-    """There is certainly no path, or none was found; the text says which and why."""
+    """There is no path, or none was found; the text says which and why."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path in the map frame, (n,) poses from start to goal, and how it came about.
+    """A path in the map frame, (n,) poses from start to goal, and its origin.
 
-    `length` [m], `margin` [m] the room it keeps round the footprint as far as it is known. `planner` is what
-    found it: the planner asked, or one of the last resorts.
+    `length` [m]; `margin` [m] is the guaranteed clearance of the footprint. `planner` is the
+    planner that found it: the requested one, or a fallback.
     """
 
     poses: SE2
@@ -30,24 +30,24 @@ class Plan:
 
 
 class GlobalPlanner(Protocol):
-    """Finds one path; it is made anew for each. It may change nothing that it is given."""
+    """Finds one path; a new planner is made for each. It must not modify its inputs."""
 
     def __init__(self, config: Any) -> None:
-        """With the settings of the section `plan`, a `turtlebag.planners.global_plan.PlanConfig`."""
+        """`config` are the settings `plan`, a `turtlebag.planners.global_plan.PlanConfig`."""
         ...
 
     def plan(self, costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2, seed: int) -> Plan:
         """A path along which the footprint is free of lethal cells, from start to goal.
 
-        The footprint is free at the goal; at the start it may touch something, and the way off that is part
-        of the path. Poses are at most a few cells apart, two at least, each heading the way to go. Raises
-        NoPath with the reason where there is none. The same seed gives the same path.
+        The footprint is free at the goal; at the start it may touch something, and the way off it is part
+        of the path. There are at least two poses, at most a few cells apart, each heading along the path.
+        Raises NoPath with the reason if there is none. The same seed gives the same path.
         """
         ...
 
 
 def require_plan(planner: GlobalPlanner, plan: object) -> None:
-    """InputError unless it is what `plan` must return."""
+    """InputError unless `plan` is a valid result of `plan`."""
     answer = Answer(planner, "plan")
     answer.require_a(Plan, plan)
     assert isinstance(plan, Plan)

@@ -27,16 +27,16 @@ from turtlebag.sim.world import World
 
 Sensors = Literal["realistic", "clean"]
 REALISTIC_SLIP = {"slip": 0.001, "turn_slip": 0.005}
-"""Metres after a metre and radians after a radian: assumed, for a hard floor and rubber tyres."""
+"""Sigma after a metre [m] and after a radian [rad]: assumed, for a hard floor and rubber tyres."""
 CONTACT_REACH_M = 0.05
-"""Contacts are looked for when the robot's centre is this much farther from a solid than its own radius."""
+"""Contacts are checked if the robot's centre is closer to a solid than its own radius plus this."""
 
 
 class SimConfig(Settings):
-    """Everything that can be switched in the simulator.
+    """The settings of the simulator.
 
-    `sensors` chooses what the lidar and the wheels are where nothing else is set: `realistic` like the
-    hardware, `clean` like Gazebo's, with white noise of the lidar and nothing random in the wheels.
+    `sensors` is the preset of lidar and wheels for everything not set otherwise: `realistic` like the
+    hardware, `clean` like Gazebo, with white lidar noise and no random slip.
     """
 
     sensors: Sensors = "realistic"
@@ -47,7 +47,7 @@ class SimConfig(Settings):
     faults: FaultConfig = FaultConfig()
 
     def resolved(self, robot: RobotSpec) -> SimConfig:
-        """The same with a number wherever it leaves one to `sensors` and to the robot's own lidar."""
+        """The same with all numbers that come from the preset `sensors` and the robot's lidar filled in."""
         realistic, lidar, odometry = self.sensors == "realistic", self.lidar, self.odometry
         noise = lidar.noise or ("sensor" if realistic or lidar.errors is not None else "gazebo")
         errors = None
@@ -70,10 +70,10 @@ class SimConfig(Settings):
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What only the simulator knows: true pose and twist, and contacts with anything but the floor.
+    """Ground truth: true pose and twist, and contacts with anything but the floor.
 
-    A contact is `visible` when the touched solid crosses the lidar plane, else `low`; one in any of
-    the physics steps since the last control step counts.
+    A contact is `visible` if the touched solid crosses the lidar plane, else `low`; contacts in any
+    physics step since the last control step count.
     """
 
     stamp_ns: int
@@ -84,9 +84,10 @@ class Truth:
 
 
 class Simulator:
-    """Steps of 1/30 s, each of eight or more physics steps. A context manager: it owns a Bullet client.
+    """Simulates in steps of 1/30 s, each of eight or more physics steps. A context manager, as it owns a
+    Bullet client.
 
-    `reset` first, then `step` as often as wanted. Same world, robot, config, seed and commands give
+    Call `reset` first, then `step`. The same world, robot, config, seed and commands give
     the same observations to the last bit.
     """
 
@@ -95,7 +96,7 @@ class Simulator:
     scan_truth: SE2
     """True base pose at the stamp of the scan that was delivered last."""
     surroundings: Surroundings
-    """What stands and moves about the robot."""
+    """Solids and movers around the robot."""
 
     def __init__(
         self, world: World, robot: RobotSpec, config: SimConfig | None = None, seed: int = 0
@@ -114,13 +115,13 @@ class Simulator:
         self.close()
 
     def close(self) -> None:
-        """Give the physics client back."""
+        """Close the physics client."""
         self._physics.close()
 
     def reset(self, T_world_base: SE2 | None = None, step: int = 0) -> Observation:
-        """Put the robot down (default: the world's spawn) at control step `step`; odometry starts there.
+        """Place the robot (default: the world's spawn) at control step `step`; odometry starts there.
 
-        What was dropped is gone. InputError when the pose overlaps a solid.
+        Dropped solids are removed. InputError if the pose overlaps a solid.
         """
         start = self.world.spawn if T_world_base is None else T_world_base
         around = Surroundings(self.world, self.robot, self.seed)
@@ -167,13 +168,13 @@ class Simulator:
         return self._observe(touched)
 
     def carry(self, T_world_base: SE2) -> None:
-        """Carry the robot elsewhere, between two steps; InputError when it cannot stand there."""
+        """Kidnap the robot, between two steps; InputError if it cannot stand there."""
         self.surroundings.require_free(T_world_base, "pose")
         self._put_down(T_world_base)
         self.truth = replace(self.truth, T_world_base=T_world_base)
 
     def drop(self, solid: Solid) -> None:
-        """Put one more solid on the floor; InputError when it would touch the robot."""
+        """Add a solid to the floor; InputError if it would touch the robot."""
         self.surroundings.drop(solid, self.truth.T_world_base)
         self._physics.drop(solid)
         for lidar in (self._lidar, self._lidar3d):

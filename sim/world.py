@@ -14,10 +14,10 @@ from turtlebag.sim.shapes import Sections, Solid, sections
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Solids on an endless floor at z = 0, and where a robot starts.
+    """Solids on an endless floor at z = 0, and the robot's spawn pose.
 
-    `keepout` are outlines (n, 2) that planners may be told to avoid because a planar lidar cannot
-    see what stands there; `routes` are named way points (n, 2) for scripted driving.
+    `keepout` are outlines (n, 2) of keep-out areas, for obstacles that a planar lidar cannot
+    see; `routes` are named waypoints (n, 2) for scripted driving.
     """
 
     name: str
@@ -30,11 +30,11 @@ class World:
     movers: tuple[Mover, ...] = ()
 
     def crossing(self, z: float) -> list[Solid]:
-        """Solids that a horizontal plane at z cuts: what a lidar at that height can see."""
+        """Solids that cross the horizontal plane at z: those visible to a lidar at that height."""
         return [solid for solid in self.shapes if solid.crosses(z)]
 
     def below(self, z: float) -> list[Solid]:
-        """Solids that reach into the space over the floor and below z: what a robot that high can touch."""
+        """Solids between the floor and z: those that a robot of that height can touch."""
         return [solid for solid in self.shapes if solid.z_min < z and solid.z_max > 0.0]
 
     def touchable(self, height: float) -> Sections:
@@ -42,7 +42,7 @@ class World:
         return sections(self.below(height), 0.0, height)
 
     def rasterize(self, z: float, resolution: float = 0.05) -> OccupancyGrid:
-        """The true map at height z, as a perfect lidar there would draw it (see turtlebag.sim.rasterize)."""
+        """The true map at height z, that of a perfect lidar there (see turtlebag.sim.rasterize)."""
         return true_map(self.crossing(z), z, self.bounds, self.spawn.xy, resolution)
 
 
@@ -50,13 +50,13 @@ class WorldMaker(Protocol):
     """Makes a world for `--world module:Class` or, with `options`, `--world module:Class:options`."""
 
     def __init__(self, options: str) -> None:
-        """With what follows its name, empty where nothing does; InputError for options that it has not."""
+        """`options` is the text after the class name, maybe empty; InputError for unknown options."""
         ...
 
     def world(self) -> World:
-        """The world, the same for the same options: at least one thing to see, and room to start at `spawn`.
+        """The world, the same for the same options, with at least one visible shape and room at `spawn`.
 
-        `name` is what logs and reports call it; `bounds` (x_min, x_max, y_min, y_max) hold all shapes: those
-        of its true map.
+        `name` is its name in logs and reports; `bounds` (x_min, x_max, y_min, y_max) contain all shapes and
+        are those of its true map.
         """
         ...

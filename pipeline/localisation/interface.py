@@ -15,10 +15,10 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 
 class Localiser(Protocol):
-    """Where `odom` is on the map. It is told a pose, or to search for one, before its first scan."""
+    """Estimates `T_map_odom`. It is initialised, with a pose or globally, before its first scan."""
 
     searches: int
-    """How often its pose came from a search over the whole map: then places that look alike are compared."""
+    """How often its pose came from a global search; after each, pose hypotheses are compared."""
 
     def __init__(
         self,
@@ -28,89 +28,89 @@ class Localiser(Protocol):
         config: AmclConfig,
         rng: np.random.Generator,
     ) -> None:
-        """On a map, for a lidar at a pose on the robot; the settings are those of the section `amcl`, and
-        `rng` is all chance there may be. ValueError when there is nothing on the map to localise on."""
+        """`config` are the settings `amcl`, `rng` is the only source of randomness. ValueError if there is
+        nothing on the map to localise with."""
         ...
 
     def initialise(
         self, T_map_base: SE2, covariance: Array | None = None, T_odom_base: SE2 | None = None
     ) -> None:
-        """Forget all and begin at a pose, so uncertain (3, 3); None: as the settings say.
+        """Restart at a pose with this covariance (3, 3); None: the settings'.
 
-        With `T_odom_base`, the odometry now, `T_map_odom` is set at once; else the pose holds at the next
-        scan.
+        With `T_odom_base`, the current odometry, `T_map_odom` is set at once; otherwise the pose is that of
+        the next scan.
         """
         ...
 
     def initialise_globally(self) -> None:
-        """Forget all: the robot may be anywhere on the map."""
+        """Restart with global localisation: the robot may be anywhere on the map."""
         ...
 
     def update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None = None) -> bool:
-        """Take in a scan with the odometry at its stamp and at the end of its sweep; whether it was used.
+        """Update with a scan and the odometry at its stamp and at the end of its sweep; whether it was used.
 
-        One that tells nothing new need not be, as of a robot that stands. From the first scan on
-        `T_map_odom` is known. It is called with whatever the lidar gave: no return at all is a scan too.
+        A scan without new information need not be used, such as that of a standing robot. `T_map_odom` is
+        known from the first scan on. Every scan is passed, even one without any return.
         """
         ...
 
     def contradicted(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2) -> bool:
-        """Whether a scan speaks against where it takes the robot to be. Changes nothing."""
+        """Whether a scan contradicts the current estimate. Changes nothing."""
         ...
 
     @property
     def initialised(self) -> bool:
-        """Whether it was told a pose, or to search."""
+        """Whether it was initialised, with a pose or globally."""
         ...
 
     @property
     def T_map_odom(self) -> SE2:
-        """Odometry's frame on the map; ValueError before it is known."""
+        """The odometry frame on the map; ValueError before it is known."""
         ...
 
     @property
     def covariance(self) -> Array:
-        """How uncertain the pose of the base was at the last scan used, (3, 3): x, y, yaw."""
+        """Covariance of the base pose at the last used scan, (3, 3): x, y, yaw."""
         ...
 
     @property
     def particles(self) -> SE2:
-        """The poses (n,) it thinks possible, one at least once initialised: drawn, and counted."""
+        """Possible poses (n,), at least one once initialised; for display and statistics."""
         ...
 
     @property
     def converged(self) -> bool:
-        """Whether it is sure of one place."""
+        """Whether the estimate is narrowed down to one place."""
         ...
 
     @property
     def agrees(self) -> bool:
-        """Whether the scans of late agree with the map there."""
+        """Whether recent scans agree with the map at the estimate."""
         ...
 
     @property
     def lost(self) -> bool:
-        """Whether it is not sure of one place, or the scans do not agree with the map there."""
+        """Whether it has not converged, or recent scans disagree with the map."""
         ...
 
     @property
     def agreement(self) -> float:
-        """The share 0..1 of the scans of late that the map explains there."""
+        """The share 0..1 of recent scans that the map explains."""
         ...
 
     @property
     def pushes(self) -> int:
-        """How often it has seen that someone pushed the standing robot; 0 for who does not look."""
+        """How often a push of the standing robot was detected; 0 without push detection."""
         ...
 
     @property
     def beams(self) -> Beams | None:
-        """The scan last used, for comparing places that look alike; None to do without."""
+        """The last used scan, for comparing pose hypotheses; None disables that."""
         ...
 
 
 def require_estimate(localiser: Localiser) -> None:
-    """InputError unless what it says after a scan is what it must be."""
+    """InputError unless its attributes are valid after a scan."""
     answer = Answer(localiser, "update")
     try:
         T_map_odom, covariance = localiser.T_map_odom, localiser.covariance

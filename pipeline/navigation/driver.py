@@ -16,42 +16,42 @@ from turtlebag.planners.obstacle_layer import ObstacleLayer
 
 
 class Task(Protocol):
-    """A task in closed loop: `--task module:Class`. It never sees the truth.
+    """A task in closed loop: `--task module:Class`. It never sees ground truth.
 
-    Whoever derives from `Driver` has all of it but `step` and `stand_by`.
+    A class that derives from `Driver` only needs `step` and `stand_by`.
     """
 
     sensing: Sensing
-    """That of the kit, or one of its own; it is shown every observation, in `step` and `stand_by`."""
+    """The kit's, or its own; `step` and `stand_by` must pass it every observation."""
     state: str
-    """One word on what it is doing, for the run log."""
+    """What it is doing, in one word, for the run log."""
     goal_index: int
-    """Which goal it pursues, -1 for none."""
+    """The current goal, -1 for none."""
     finished: bool
-    """Whether the task is over; it is asked no more then."""
+    """Whether the task is over; then it is not called any more."""
     estimate: SE2 | None
-    """Where it takes itself to be in the map; None when it does not know, or needs no map."""
+    """The estimated pose on the map; None if unknown, or without a map."""
 
     def __init__(self, kit: Any, mission: Any) -> None:
-        """With a `turtlebag.pipeline.navigation.drivers.Kit`, what drivers are made of, and a
-        `turtlebag.pipeline.navigation.setup.Mission`, what was asked for: the map, if one was given."""
+        """`kit` is a `turtlebag.pipeline.navigation.drivers.Kit`, the components of a driver; `mission` is a
+        `turtlebag.pipeline.navigation.setup.Mission`, the command's options, with the map if there is one."""
         ...
 
     def step(self, observation: Observation) -> Twist:
-        """The command for the next control period, within the limits of the robot."""
+        """The command for the next control period, within the robot's limits."""
         ...
 
     def stand_by(self, observation: Observation) -> None:
-        """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
+        """Process an observation during a teleop override; goals wait meanwhile."""
         ...
 
     def resume(self, last: Twist) -> None:
-        """Drive again from the next step on, after the command that someone else gave last."""
+        """Drive again from the next step on; `last` is the override's last command."""
         ...
 
 
 def require_task(task: Task, observation: Observation, command: object) -> None:
-    """InputError unless it returned, and says of itself, what it must after a step."""
+    """InputError unless its command and attributes are valid after a step."""
     require_twist(task, "step", command)
     answer = Answer(task, "step")
     answer.require_kind("state", task.state, str)
@@ -65,7 +65,7 @@ def require_task(task: Task, observation: Observation, command: object) -> None:
 
 
 class Driver(Task):
-    """What the tasks share. It never sees the truth."""
+    """Base of the tasks. It never sees ground truth."""
 
     def __init__(self, sensing: Sensing) -> None:
         self.sensing, self.state = sensing, "wait"
@@ -74,7 +74,7 @@ class Driver(Task):
         self._last = Twist()
 
     def resume(self, last: Twist) -> None:
-        """Drive again from the next step on, after the command that someone else gave last."""
+        """Drive again from the next step on; `last` is the override's last command."""
         self._last = last
 
     def _see(self, sweep: DeskewedScan, T_frame_odom: SE2, obstacles: ObstacleLayer) -> None:
@@ -87,7 +87,7 @@ class Driver(Task):
         )
 
     def _tick(self, observation: Observation, T_frame_base: SE2, *, stop: bool = False) -> Tick:
-        """What a goal runner is told of a tick; `stop` where something moves too near."""
+        """A tick's data for the goal runner; `stop` if a moving obstacle is too near."""
         return Tick(
             observation.stamp_ns,
             T_frame_base,

@@ -18,25 +18,25 @@ BackEndName = Annotated[
 
 
 class BackEnd(Protocol):
-    """Solves pose graphs of the plane. It may change nothing that it is given."""
+    """Solves planar pose graphs. It must not modify its inputs."""
 
     def __init__(self) -> None:
-        """One is made for each map."""
+        """A new back end is made for each map."""
         ...
 
     def optimise(self, T_map_keys: SE2, constraints: Sequence[Constraint], iterations: int = 30) -> SE2:
-        """The poses (n,) of least cost, searched from `T_map_keys`, the first of which is held.
+        """The poses (n,) of least cost, starting from `T_map_keys`; the first is fixed.
 
-        Each constraint adds the squared error of `T_i_j`, the pose of key j seen from key i, weighed by its
-        `information` (3, 3) in the frame of j; with a Cauchy kernel of `cauchy` standard deviations where
-        that is not 0. Every key is joined to others, but by constraints whose information may be zero along a
-        direction, or altogether. The search ends after so many iterations, or when nothing moves any more.
+        Each constraint adds the squared error of `T_i_j`, the pose of key j relative to key i, weighted by
+        its `information` (3, 3) in the frame of j; with a Cauchy kernel of `cauchy` standard deviations
+        unless that is 0. The graph is connected, but the information of a constraint may be zero along a
+        direction, or altogether. The search ends after `iterations`, or when it has converged.
         """
         ...
 
 
 def make_back_end(name: str) -> BackEnd:
-    """The back end of that name; InputError where it is the user's own and not to be had."""
+    """The back end of that name; InputError if it is a user's class that cannot be loaded."""
     made: BackEnd = chosen(name, {"gtsam": Gtsam}, BackEnd)()
     return made
 
@@ -44,7 +44,7 @@ def make_back_end(name: str) -> BackEnd:
 def solved(
     back_end: BackEnd, T_map_keys: SE2, constraints: Sequence[Constraint], iterations: int = 30
 ) -> SE2:
-    """What a back end finds; InputError where that are not as many poses, all finite."""
+    """The result of a back end; InputError unless it has as many poses, all finite."""
     found = back_end.optimise(T_map_keys, constraints, iterations)
     answer = Answer(back_end, "optimise")
     answer.require_a(SE2, found)

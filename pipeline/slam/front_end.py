@@ -19,17 +19,17 @@ from turtlebag.pipeline.slam.track import HYPOTHESES
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Where a scan was taken, and how sure that is.
+    """The estimated pose of a scan, and its quality.
 
     `T_track_base` (3,) is the pose of the base at the scan's stamp: x, y [m], yaw [rad] in the frame of the
-    track, which is the odometry's at the first scan (identity without odometry). `information` (3, 3) is what
-    the scan itself saw of it, in the frame of the base at that pose [1/m^2, 1/(m rad), 1/rad^2], each point
-    counted by itself (`align.STEP_INFLATION` allows for their shared errors): zero along a direction that it
-    was blind in, and nothing of what the odometry said, which the graph adds. `overlap` is the share 0..1 of
-    the scan that lies on what was seen before, `known` that where was looked before, `rmse` how far off it
-    lies [m]. `source` says which start won, an index into `track.HYPOTHESES`. Where `sure` is False the scan
-    does not become a key scan. `revised` are the scans before it that are now known better, with their poses
-    (3,): how they fit is what is said of this one, `source` aside. Key scans keep theirs.
+    track, which is the odometry's at the first scan (identity without odometry). `information` (3, 3) is that
+    of the scan matching alone, in the base frame at that pose [1/m^2, 1/(m rad), 1/rad^2], with points taken
+    as independent (`align.STEP_INFLATION` allows for their shared errors): zero along unobservable
+    directions, and without the odometry, which the graph adds. `overlap` is the share 0..1 of
+    the scan's points that lie on surfaces seen before, `known` the share in space seen before, `rmse` the
+    error of the match [m]. `source` is the start that won, an index into `track.HYPOTHESES`. If `sure` is
+    False, the scan does not become a key scan. `revised` are earlier scans with improved poses (3,); they
+    take over this scan's quality, except `source`. Poses of key scans are not revised.
     """
 
     T_track_base: Array
@@ -43,32 +43,32 @@ class Placed:
 
     @property
     def agreement(self) -> float:
-        """The share of what lies where was looked before that was seen before, 0..1."""
+        """The share of the points in known space that lie on known surfaces, 0..1."""
         return self.overlap / self.known if self.known > 0.0 else 1.0
 
 
 class FrontEnd(Protocol):
-    """Places the scans of a log one after another. It may change nothing that it is given."""
+    """Estimates the poses of a log's scans in order. It must not modify its inputs."""
 
     def __init__(self, tracker: Any) -> None:
-        """Begin with a `turtlebag.pipeline.slam.tracker.Tracker` on which the first scan stands, a key scan
-        that has points: the log as far as it is tracked, to be read at any step."""
+        """`tracker` is a `turtlebag.pipeline.slam.tracker.Tracker` with the log tracked so far: at first one
+        key scan, which has points. It may be read at any step."""
         ...
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
-        """Where the next scan was taken.
+        """The pose of the next scan.
 
-        `points` (n, 2) are its returns [m] in the frame of the base at its stamp, n may be 0. `odometry_step`
-        (3,) is the motion since the scan before as the calibrated odometry has it, seen from there, None
-        without odometry; `wait_s` is the time since then [s], below 0 where stamps go back. Which scan it is,
-        the pose and motion before, key scans and surfaces are on the tracker, for front ends that need them.
-        Where nothing can be said the pose expected is, with information of zero.
+        `points` (n, 2) are its returns [m] in the frame of the base at its stamp; n may be 0. `odometry_step`
+        (3,) is the motion since the previous scan by the calibrated odometry, in that scan's base frame, None
+        without odometry; `wait_s` is the time since then [s], negative if stamps go backwards. The scan's
+        number, the previous pose and motion, key scans and surfaces are attributes of the tracker.
+        If the scan shows nothing, return the predicted pose with zero information.
         """
         ...
 
 
 def require_placed(front_end: FrontEnd, placed: object, scan: int) -> None:
-    """InputError unless it is what `step` must return of this scan."""
+    """InputError unless `placed` is a valid result of `step` for this scan."""
     answer = Answer(front_end, "step")
     answer.require_a(Placed, placed)
     assert isinstance(placed, Placed)

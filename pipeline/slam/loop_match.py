@@ -22,42 +22,42 @@ from turtlebag.pipeline.slam.correspondences import Limits
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Scans (n,) of a log with their poses (n, 3) as seen from the base of one of them, `about`."""
+    """Scans (n,) of a log with their poses (n, 3) in the base frame of one of them, `about`."""
 
     about: int
     scans: NDArray[np.int64]
     T_about_scans: Array
 
     def points(self, clouds: Clouds) -> Array:
-        """All their points (m, 2), seen from there."""
+        """All their points (m, 2), in that frame."""
         return points_in_map(clouds.points, clouds.starts, self.scans, self.T_about_scans)
 
 
 class LoopMatch(Protocol):
-    """Aligns two stretches of a log. It may change nothing that it is given."""
+    """Aligns two stretches of a log. It must not modify its inputs."""
 
     def __init__(self) -> None:
-        """One is made for each log."""
+        """A new matcher is made for each log."""
         ...
 
     def match(
         self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
     ) -> Alignment:
-        """The pose of `query` seen from `place`, searched from `start` (3,).
+        """The pose of `query` relative to `place`, starting from `start` (3,).
 
-        `T_map_base` of the answer is the base of `query.about` in the frame of `place.about`, `information`
-        (3, 3) is in the frame of the former, zero where nothing was seen; `overlap` is the share 0..1 of
-        the query's points with a partner, `rmse` their distance [m].
+        `T_map_base` of the result is the base of `query.about` in the frame of `place.about`; `information`
+        (3, 3) is in the frame of the former, zero along unobservable directions; `overlap` is the share 0..1
+        of the query's points with a correspondence, `rmse` their distance [m].
         """
         ...
 
     def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
-        """A second opinion on a pose (3,) that is in doubt."""
+        """Whether a doubtful pose (3,) is right, as a second opinion."""
         ...
 
 
 def require_alignment(matcher: LoopMatch, found: object) -> None:
-    """InputError unless it is what `match` must return."""
+    """InputError unless `found` is a valid result of `match`."""
     answer = Answer(matcher, "match")
     answer.require_a(Alignment, found)
     assert isinstance(found, Alignment)
@@ -68,7 +68,7 @@ def require_alignment(matcher: LoopMatch, found: object) -> None:
 
 
 def confirmed(matcher: LoopMatch, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
-    """What `confirms` says; InputError when that is neither true nor false."""
+    """The result of `confirms`; InputError unless it is a bool."""
     opinion = matcher.confirms(clouds, query, place, pose)
     Answer(matcher, "confirms").require_kind("what it returns", opinion, bool, np.bool_)
     return bool(opinion)

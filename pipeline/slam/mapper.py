@@ -45,8 +45,8 @@ LOST_SCANS, LOST_AGREEMENT = 5, 0.6
 
 
 class Mapper:
-    """Takes in scans, tells where the robot is and what the map is. The map's frame is the odometry's at the
-    first scan, the robot's own without odometry."""
+    """Online mapper: scans in, pose and map out. The map's frame is the odometry's at the
+    first scan; without odometry, the robot's."""
 
     def __init__(self, lidar: LidarSpec, T_base_lidar: SE2, config: SlamConfig | None = None) -> None:
         self.config = config or SlamConfig()
@@ -68,7 +68,7 @@ class Mapper:
         return len(self._log)
 
     def add(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu] = ()) -> SE2:
-        """Where the scan was taken, T_map_base at its stamp.
+        """Add a scan; returns T_map_base at its stamp.
 
         `odometry` is the pose T_odom_base at that stamp, or all its samples since the last scan's, to the end
         of the sweep (stamps must increase); the same kind, or none, for every scan. `imu` likewise.
@@ -94,29 +94,29 @@ class Mapper:
 
     @property
     def T_map_base(self) -> SE2:
-        """Where the newest scan was taken, by all that is known now."""
+        """Current estimate of the newest scan's pose."""
         assert self._tracker is not None
         return SE2(compose(self._T_map_track, self._tracker.pose))
 
     @property
     def T_map_odom(self) -> SE2:
-        """Odometry's frame on the map."""
+        """The odometry frame on the map."""
         return self.T_map_base @ SE2(self._prepared["T_odom_base"][-1]).inverse()
 
     @property
     def lost(self) -> bool:
-        """Whether the newest scans fit what was seen before so little that their poses are guesses."""
+        """Whether the newest scans fit the earlier ones so little that their poses are guesses."""
         return self._misfits >= LOST_SCANS
 
     @property
     def fit(self) -> float:
-        """The share of the newest scan that lies on what was seen before, of what could be, 0..1."""
+        """The share of the newest scan's points in known space that lie on known surfaces, 0..1."""
         return 1.0 if self._tracker is None else self._tracker.placed.agreement
 
     @property
     def sigma_m(self) -> float | None:
-        """Standard deviation of the robot's place on the map [m], as the graph had it for the last key scan
-        that was looked for in older places; None before."""
+        """Standard deviation of the robot's position on the map [m], by the graph for the last key scan
+        checked for loops; None before."""
         return None if self._loops is None else self._loops.sigma_m
 
     @property
@@ -126,29 +126,29 @@ class Mapper:
 
     @property
     def keys(self) -> NDArray[np.int64]:
-        """The key scans by their numbers among all scans that were added, from 0 on."""
+        """Numbers of the key scans among all added scans, from 0 on."""
         if self._tracker is None:
             return np.zeros(0, dtype=np.int64)
         return self._log.numbers[self._prepared["number"][self._tracker.keys]]
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses of all scans, by all that is known now."""
+        """Current estimates of the poses of all scans."""
         T_map_scans = self.T_map_keys[self._by_key["key"]] @ SE2(self._by_key["T_key_scan"])
         return Trajectory(self._log.stamps_ns, T_map_scans)
 
     @property
     def constraints(self) -> list[Constraint]:
-        """What the graph knows of the key scans."""
+        """Constraints between the key scans: steps and loops."""
         return [] if self._loops is None else [*self._loops.steps, *self._loops.loops]
 
     def distrust(self, within_m: float) -> None:
-        """The newest scans, since the robot came within so far of where it is, are not mapped with."""
+        """Leave out of the map the newest scans, since the robot came within `within_m` of its position."""
         away = np.linalg.norm(self.trajectory.poses.xy - self.T_map_base.xy, axis=1) > within_m
         self._log.trusted[int(np.flatnonzero(away)[-1]) + 1 if away.any() else 1 :] = False
 
     def map(self) -> OccupancyGrid:
-        """What the key scans and the newest scan saw."""
+        """The occupancy grid of the key scans and the newest scan."""
         numbers = self._prepared["number"]
         assert self._tracker is not None
         T_map = {key: SE2(pose) for key, pose in zip(self._tracker.keys, self.T_map_keys.xyt, strict=True)}
@@ -158,8 +158,8 @@ class Mapper:
         return make_grid(seen, SE2.stack([T_map[k] for k in shown]), self.config.grid, self._usable, motion)
 
     def finish(self) -> tuple[Trajectory, OccupancyGrid]:
-        """Poses and map as the offline mapper makes them of all scans; once old ones had to be dropped, as
-        the refinement makes them of those that are left."""
+        """Poses and map by the offline mapper from all scans; once old scans were dropped, by
+        the refinement of the remaining ones."""
         if self._log.whole:
             result = run_slam(self.recording(), self.config)
             return result.trajectory, result.grid
@@ -172,7 +172,7 @@ class Mapper:
         return self.trajectory, self.map()
 
     def recording(self) -> Recording:
-        """All scans that there are and that are trusted, as a log."""
+        """All remaining trusted scans, as a log."""
         return self._log.recording()
 
     def _append(self, one: Recording) -> None:

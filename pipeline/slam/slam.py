@@ -92,13 +92,13 @@ class SlamConfig(BaseModel):
     grid: OccupancyConfig = OccupancyConfig()
 
     def usable(self, lidar: LidarSpec) -> float:
-        """Returns beyond this range [m] of such a lidar are left out."""
+        """The range [m] beyond which returns of this lidar are ignored."""
         return min(lidar.range_max, self.usable_range_m)
 
 
 @dataclass(frozen=True, eq=False)
 class SlamResult:
-    """A pose per scan in file order, the grid, and the session they came from."""
+    """A pose per scan in file order, the grid, and their session."""
 
     trajectory: Trajectory
     grid: OccupancyGrid
@@ -107,7 +107,7 @@ class SlamResult:
 
     @property
     def track(self) -> Track:
-        """What the front end saw."""
+        """The front end's track."""
         return self.session.track
 
     @property
@@ -122,12 +122,12 @@ class SlamResult:
 
     @property
     def loops(self) -> list[Loop]:
-        """Candidates for loops by distance."""
+        """Loop candidates by distance."""
         return self.session.graph.loops
 
     @property
     def recognised(self) -> list[Recognised]:
-        """Candidates for loops by place recognition."""
+        """Loop candidates by place recognition."""
         return self.session.graph.recognised
 
     @property
@@ -144,7 +144,7 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
 
 @dataclass(frozen=True)
 class Steps:
-    """What the blame study puts the truth in the place of; the front end, if it is not the settings'."""
+    """The steps that `turtlebag blame` replaces with ground truth; `front_end` None: by the settings."""
 
     front_end: Maker | None = None
     close_graph: Callable[..., Closed] = close_graph
@@ -155,7 +155,7 @@ USUAL = Steps()
 
 @dataclass(frozen=True)
 class _Run:
-    """What every step needs to know of the run."""
+    """The context of a run, passed to every step."""
 
     config: SlamConfig
     progress: Progress
@@ -174,9 +174,9 @@ def run_slam(
 ) -> SlamResult:
     """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
 
-    `more` are later recordings of the same place: each is found in the map so far and joins the graph;
-    the trajectory holds the scans of all, in that order. InputError when one cannot be placed. `edits` are
-    loops that a person rejected or added in `recording`.
+    `more` are later recordings of the same place: each is located in the map so far and joins the graph;
+    the trajectory holds the scans of all, in that order. InputError if one cannot be located. `edits` are
+    loops in `recording` that the user rejected or added.
     """
     edits.require_scans(len(recording), recording.source)
     run = _Run(config, progress, steps, edits)
@@ -189,7 +189,7 @@ def continue_slam(
     config: SlamConfig,
     progress: Progress = no_progress,
 ) -> SlamResult:
-    """As `run_slam`, from the finished session of an earlier map in place of its recording."""
+    """As `run_slam`, but from the finished session of an earlier map instead of its recording."""
     return _mapped(session, more, _Run(config, progress, USUAL, Edits()))
 
 
@@ -339,7 +339,7 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
         for setting in ("sensors=odometry", "front_end=wheels"):
             name, value = setting.split("=")
             if getattr(config, name) == value:
-                raise InputError(f"{recording.source}: no odometry to map with, which {setting} needs")
+                raise InputError(f"{recording.source}: no odometry, which {setting} needs")
     return recording, _by_odometry(config) if config.sensors == "odometry" else config
 
 
@@ -358,7 +358,7 @@ def _by_odometry(config: SlamConfig) -> SlamConfig:
 
 
 def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
-    """The exchangeable parts a map is made with, by the setting that chooses each; None: not used."""
+    """The exchangeable parts of a map, by setting; None: not used."""
     config = _by_odometry(config) if config.sensors == "odometry" else config
     matcher = config.loops.match if config.loops.enabled else None
     solved = config.loops.enabled or config.refine.rounds > 0

@@ -12,7 +12,7 @@ from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.costmap import Costmap
 
 ACCELERATION_SHARE = 0.8
-"""Part of the robot's own acceleration that is asked for, and of its braking that is counted on."""
+"""Share of the robot's acceleration that is commanded, and of its braking that is relied on."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,15 @@ class SpeedLimits:
 class Controller(Protocol):
     """A local controller; poses are in the frame of its path (map, or odom for mapless goals).
 
-    It is asked once a control period while a path is followed. What it says passes the collision monitor,
-    which may slow it down: `last` tells what became of it.
+    It is called once per control period while a path is followed. Its command passes the collision monitor,
+    which may reduce it: `last` is the command that was executed.
     """
 
     state: str
-    """One word on what it is doing, for the log."""
+    """What it is doing, in one word, for the log."""
 
     def __init__(self, model: RobotModel, period: float) -> None:
-        """Drive such a robot, with a command every `period` [s]."""
+        """For this robot, with one command per `period` [s]."""
         ...
 
     def set_path(self, poses: SE2) -> None:
@@ -59,20 +59,20 @@ class Controller(Protocol):
         ...
 
     def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
-        """The next command, from the pose now, the command before, and what is in the way."""
+        """The next command, from the current pose, the last command and the obstacles."""
         ...
 
     def ramp(self, target: Twist, last: Twist) -> Twist:
-        """As near to a target as the acceleration limits allow in one period."""
+        """The command closest to a target within the acceleration limits of one period."""
         ...
 
     def brake(self, last: Twist) -> Twist:
-        """The next command on the way to a standstill."""
+        """The next command when braking to a standstill."""
         ...
 
 
 def ramped(target: Twist, last: Twist, limits: SpeedLimits) -> Twist:
-    """The target, as far as the acceleration limits let the last command change in one period.
+    """The command closest to the target within the acceleration limits of one period.
 
     While the speed ramps, the rotation keeps the target's curvature.
     """
@@ -87,9 +87,9 @@ def ramped(target: Twist, last: Twist, limits: SpeedLimits) -> Twist:
 
 
 class Ramped:
-    """What controllers share: the robot's limits, narrowed by their configuration, on every command.
+    """Base of controllers: applies the robot's limits, or narrower configured ones, to every command.
 
-    `acceleration_share` is the part of the robot's own acceleration for driving; braking may use all.
+    `acceleration_share` is the share of the robot's acceleration used for driving; braking may use all.
     """
 
     def __init__(
@@ -107,11 +107,11 @@ class Ramped:
         self.hardest = replace(self.limits, max_dv=model.max_dv)
 
     def ramp(self, target: Twist, last: Twist) -> Twist:
-        """As near to a target as the acceleration limits allow in one period."""
+        """The command closest to a target within the acceleration limits of one period."""
         return ramped(target, last, self.limits)
 
     def brake(self, last: Twist) -> Twist:
-        """The next command on the way to a standstill, as hard as the robot itself may brake."""
+        """The next command when braking to a standstill, as hard as the robot can."""
         return ramped(Twist(), last, self.hardest)
 
 
