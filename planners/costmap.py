@@ -36,7 +36,7 @@ class CostmapConfig(Settings, allow_inf_nan=False):
     """Which cells count as obstacles."""
 
     unknown: Literal["blocked", "free"] = "blocked"
-    """Whether cells never seen stop the robot."""
+    """Whether unknown cells are obstacles or free."""
 
 
 @dataclass(frozen=True, eq=False)

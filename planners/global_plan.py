@@ -52,25 +52,25 @@ class PlanConfig(Settings, allow_inf_nan=False):
     """Distances in metres."""
 
     planner: Annotated[str, part_of("ompl")] = Field(default="ompl", exclude_if=lambda name: name == "ompl")
-    """`ompl`, or a class of yours."""
+    """`ompl`, or your own class."""
     ompl: OmplConfig = OmplConfig()
     margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
         default=(0.10, 0.07, 0.04, 0.0), min_length=1
     )
-    """Room kept round the robot's circumscribed circle, tried in this order; the last one only in need."""
+    """Margins around the circumscribed circle, tried in this order; the last one only if needed."""
     stretch: float = Field(default=1.05, ge=1.0)
-    """Room is bought with length up to this times the shortest way with the last margin."""
+    """Longest path for the sake of a wider margin, relative to the shortest one with the last margin."""
     inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
-    """Obstacles push the path away as far as this, beyond the disc itself."""
+    """Distance from the disc within which obstacles push the path away."""
 
     @property
     def name(self) -> str:
-        """What is asked for a path: a planner of OMPL, or a class of the user's."""
+        """The planner's name: an OMPL planner, or a user's class."""
         return self.ompl.name if self.planner == "ompl" else self.planner
 
 
 def fits(costmap: Costmap, model: RobotModel, T_map_base: SE2) -> bool:
-    """Whether the footprint stands free of the centres of lethal cells at a pose."""
+    """Whether the footprint at a pose contains no centre of a lethal cell."""
     x, y, yaw = (costmap.T_grid_map @ T_map_base).xyt.tolist()
     return bool(footprint_free(costmap.clearance, costmap.resolution, model.footprint, x, y, yaw))
 

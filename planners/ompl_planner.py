@@ -33,16 +33,16 @@ RANGE_M = 1.5
 
 
 class OmplConfig(Settings, allow_inf_nan=False):
-    """Which planner, and how long it may search."""
+    """The OMPL planner and its budget."""
 
     planner: PlannerName | None = None
     """None: BITstar for a disc, RRTConnect elsewhere."""
     space: Literal["disc", "se2", "reeds_shepp", "dubins"] = "disc"
-    """`disc` plans the way of a disc that holds the footprint; the others turn the footprint itself."""
+    """`disc` plans for the disc around the footprint; the others for the footprint itself, with heading."""
     turning_radius: float = Field(default=0.3, gt=0.0, le=100.0)
-    """Least radius of curves in reeds_shepp and dubins [m]."""
+    """Minimum turning radius in reeds_shepp and dubins [m]."""
     iterations: int = Field(default=4000, gt=0, le=1_000_000)
-    """Calls of the planner's termination condition: a budget that repeats, unlike seconds."""
+    """Budget in calls of the planner's termination condition: reproducible, unlike seconds."""
 
     @model_validator(mode="after")
     def _check(self) -> OmplConfig:

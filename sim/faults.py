@@ -19,12 +19,12 @@ Share = Annotated[float, Field(ge=0.0, le=0.95)]
 
 
 class FaultConfig(Settings):
-    """Delays and spans in seconds since the start. By default nothing goes wrong."""
+    """Delays, and spans in seconds since the start. No faults by default."""
 
     command_delay: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
-    """From a command to the motors hearing it."""
+    """From a command until it reaches the motors."""
     scan_delay: NonNegative = 0.0
-    """From the end of a sweep to its delivery; its stamp stays true."""
+    """From the end of a sweep to its delivery; its stamp stays correct."""
     scan_loss: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Share of whole scans that never arrive."""
     scan_silent: Spans = ()
@@ -34,12 +34,12 @@ class FaultConfig(Settings):
         tuple[tuple[NonNegative, NonNegative, Share, Share], ...],
         Field(description="[start, end, left share, right share] for each"),
     ] = ()
-    """Start, end, and the shares of the left and the right wheel's turning that move nothing."""
+    """Start, end, and the shares of the left and right wheel's rotation lost to slip."""
     kidnap: Annotated[
         tuple[tuple[NonNegative, Finite, Finite, Finite], ...],
         Field(description="[seconds, x, y, yaw] for each"),
     ] = ()
-    """When, and the true x, y, yaw where the robot is put down; odometry notices nothing."""
+    """Time, and the true x, y, yaw where the robot is put down; the odometry does not notice."""
 
     @field_validator("scan_silent", "imu_silent", "slip")
     @classmethod
@@ -57,7 +57,7 @@ class FaultConfig(Settings):
 
 
 class Faults:
-    """Stands between the robot and whoever drives it, from control step `first` on."""
+    """Applies the faults between robot and driver, from control step `first` on."""
 
     def __init__(self, config: FaultConfig, rng: np.random.Generator, first: int = 0) -> None:
         self._config, self._rng = config, rng

@@ -22,10 +22,10 @@ GAZEBO_SIGMA = 0.01
 
 
 class LidarConfig(Settings):
-    """How the lidar measures.
+    """The lidar's noise model and rate.
 
-    `sensor`: with the errors of the robot's own lidar, as its file has them. `gazebo`: Gaussian noise
-    of `sigma` alone. `datasheet`: of the LDS-01, +-15 mm below 0.5 m and +-5 % of the range beyond,
+    `sensor`: the errors in the robot's file. `gazebo`: Gaussian noise
+    of `sigma` only. `datasheet`: the LDS-01's +-15 mm below 0.5 m and +-5 % of the range beyond,
     read as three standard deviations of a beam.
     """
 
@@ -33,15 +33,15 @@ class LidarConfig(Settings):
     noise: Literal["sensor", "gazebo", "datasheet", "none"] | None = None
     """None: by `sim.sensors`; a lidar without a simulator: `gazebo`."""
     errors: LidarErrors | None = None
-    """With `sensor`: what is given here takes the place of the number in the robot's file."""
+    """With `sensor`: numbers that replace those in the robot's file."""
     sigma: Annotated[float, Field(ge=0.0)] | None = None
-    """White noise of each beam [m]. None: 0.01, and with `sensor` what `errors` say."""
+    """White noise of each beam [m]. None: 0.01, with `sensor` that of `errors`."""
     rate_hz: Annotated[float, Field(gt=0.0)] | None = None
-    """Turns a second; none: as the robot's file says. 30 must be a whole multiple of it."""
+    """Turns per second, a divisor of 30; None: as in the robot's file."""
     dropout: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Chance that a beam comes back as no return (+inf)."""
     reflectivity: bool = True
-    """Whether dark or transparent solids swallow beams."""
+    """Whether dark or transparent solids absorb beams."""
 
     @model_validator(mode="after")
     def _errors_are_used(self) -> LidarConfig:
@@ -66,7 +66,7 @@ class Lidar:
         self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
 
     def surround(self, solids: Sequence[Solid]) -> None:
-        """From now on it stands among these solids."""
+        """Set the solids around the lidar from now on."""
         self._outlines = sections([s for s in solids if s.crosses(self._height)], self._height)
         returns = np.concatenate([self._outlines.segment_return, self._outlines.circle_return, [1.0]])
         self._returns = returns if self._config.reflectivity and returns.min() < 1.0 else None

@@ -36,7 +36,7 @@ class Lidar3d:
         self._moving = [Scene([solid]) for solid in moving]
 
     def surround(self, solids: Sequence[Solid]) -> None:
-        """From now on it stands among these solids."""
+        """Set the solids around the lidar from now on."""
         self._scene = Scene(solids)
 
     def turn(self) -> tuple[float, float]:

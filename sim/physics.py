@@ -26,10 +26,10 @@ CONTACT_GAP_M = 5e-4
 
 
 class PhysicsConfig(Settings):
-    """Friction coefficients are of the pairing with floor and solids (whose own is 1)."""
+    """Friction coefficients against floor and solids (which have 1)."""
 
     friction: Annotated[float, Field(gt=0.0)] | None = None
-    """Wheels on the floor; none: as the robot's file says."""
+    """Wheels on the floor; None: as in the robot's file."""
     body_friction: Annotated[float, Field(ge=0.0)] = 0.1
     """Caster on the floor, body on walls."""
     substeps: Annotated[int, Field(ge=8)] = 8

@@ -25,7 +25,7 @@ Vector = tuple[Finite, Finite, Finite]
 
 
 class Limits(Settings):
-    """What the motor layer allows, whoever commands: speeds, accelerations, and rim acceleration."""
+    """Limits that the motor layer enforces on every command: speeds, accelerations, and rim acceleration."""
 
     max_v: Positive
     max_w: Positive
@@ -62,7 +62,7 @@ Part = Annotated[BoxPart | SpherePart, Field(discriminator="kind")]
 
 
 class Wheels(Settings):
-    """Two driven wheels; `joint_y` is where they stand, `separation` what the controller believes."""
+    """Two driven wheels; `joint_y` is their true position, `separation` the controller's value."""
 
     radius: Positive
     width: Positive
@@ -73,18 +73,18 @@ class Wheels(Settings):
     torque: Positive
     encoder_ticks: int = Field(gt=0)
     friction: Positive = 0.5
-    """On the floor; what a run's own `physics.friction` replaces."""
+    """On the floor, unless a run sets `physics.friction`."""
 
 
 class LidarErrors(Settings):
-    """How its readings differ from the distances; standard deviations where nothing else is said.
+    """Errors of a lidar's readings; standard deviations unless stated otherwise.
 
-    Of a beam: `sigma` [m] and `sigma_square` [1/m], which grows with the square of the distance as a
-    triangulating lidar's does; the `angle_deg` it points aside; and the `resolution` [m]. Of a turn:
-    `turn_scale`, a share of all its distances; `jitter`, a share of its time; `stamp_delay` [s], how
-    much later than the first beam it is stamped, evenly from and to. Of the unit, drawn once a run:
-    `offset` [m], `scale`, `square` [1/m], and `speed`, a share of the turns a second. Lost: a share
-    `lost` of all beams, and of those that meet a surface at a cosine c to its normal exp(-c / grazing).
+    Per beam: `sigma` [m] and `sigma_square` [1/m], which grows with the square of the distance as in a
+    triangulating lidar; `angle_deg`, the direction error; and the `resolution` [m]. Per turn:
+    `turn_scale`, a share of all its distances; `jitter`, a share of its time; `stamp_delay` [s], from the
+    first beam to the stamp, uniform between the two values. Per unit, drawn once per run:
+    `offset` [m], `scale`, `square` [1/m], and `speed`, a share of the rotation rate. Lost beams: a share
+    `lost` of all, and exp(-c / grazing) of those that hit a surface at a cosine c to its normal.
     """
 
     sigma: NonNegative = 0.01
@@ -121,7 +121,7 @@ class Lidar(Settings):
     range_max: Positive
     rate_hz: Positive
     sweep: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-    """Part of a turn of the head during which beams are taken."""
+    """Share of a turn during which beams are taken."""
     errors: LidarErrors = LidarErrors()
 
     def spec(self, turning: bool, rate_hz: float | None = None) -> LidarSpec:
@@ -139,7 +139,7 @@ class Lidar(Settings):
 
 
 class Lidar3dMount(Settings):
-    """A turning 3D lidar at `position` in base_footprint: rings at even elevations."""
+    """A spinning 3D lidar at `position` in base_footprint: rings at even elevations."""
 
     position: Vector
     n_rings: int = Field(gt=1)

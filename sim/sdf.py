@@ -26,7 +26,7 @@ BOX_FACES = np.array([face for a, b, c, d in _QUADS for face in ((a, b, c), (a, 
 
 
 def load_sdf(path: Path) -> tuple[str, list[Solid]]:
-    """Name and solids of a .world or .sdf file; everything in it stands still.
+    """Name and solids of a .world or .sdf file; everything in it is static.
 
     Poses nest (model in model, link, collision); models' poses in a `<state>` override, as Gazebo
     saves them. `<include>` is looked for beside the file and below the folders of GAZEBO_MODEL_PATH

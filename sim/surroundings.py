@@ -42,7 +42,7 @@ class Surroundings:
 
     @property
     def solids(self) -> list[Solid]:
-        """What stands, and never moves."""
+        """The static solids."""
         return [*self._world.shapes, *self._dropped]
 
     @property

@@ -52,11 +52,11 @@ class Step(Settings):
     through: list[tuple[Finite, Finite]] | None = None
     """World points to drive through, turning on the spot at each."""
     route: str | None = None
-    """A route of the world: one that its file names, or `tour`, `perimeter_then_rooms` planned for it."""
+    """A route of the world: one in its file, or a planned one (`tour`, `perimeter_then_rooms`)."""
     wall_follow: Positive | None = None
     """Seconds of driving with the wall to the right."""
     random_walk: Positive | None = None
-    """Metres of driving to places drawn at random, all within reach and clear of everything."""
+    """Metres of driving to random reachable, collision-free places."""
     repeat: Annotated[int, Field(ge=1)] | None = None
     """How often to do `steps`."""
     steps: list[Step] = Field([])

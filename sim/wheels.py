@@ -16,11 +16,11 @@ from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
 
 class OdometryConfig(Settings):
-    """What wheel odometry is off by.
+    """Errors of wheel odometry.
 
-    Calibration: the believed wheel radius and track are off by up to these fractions, drawn once a run.
-    Slip: `slip` is the standard deviation of what a wheel turns in vain [m] after a metre, `turn_slip`
-    of what both do in opposite senses [rad] after a turn of a radian; both grow with the square root.
+    Calibration: configured wheel radius and track are wrong by up to these fractions, drawn once per run.
+    Slip: `slip` is the standard deviation of a wheel's slip [m] after a metre, `turn_slip`
+    of opposite slip of both [rad] after a turn of a radian; both grow with the square root.
     """
 
     radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
@@ -41,7 +41,7 @@ class Calibration:
 
 
 class Motors:
-    """Commands to wheel speeds, within the limits of speed and acceleration, whoever commands."""
+    """Commands to wheel speeds, within the limits of speed and acceleration."""
 
     def __init__(self, robot: RobotSpec, calibration: Calibration) -> None:
         self._limits, self._calibration = robot.limits, calibration
@@ -115,7 +115,7 @@ class WheelOdometry:
 
 
 class Board:
-    """The robot's own board: commands become wheel speeds, what the encoders see becomes odometry."""
+    """The robot's board: commands become wheel speeds, encoder readings become odometry."""
 
     def __init__(self, robot: RobotSpec, config: OdometryConfig, seed: int, start: SE2) -> None:
         calibration = Calibration(robot, config, stream(seed, "calibration"))

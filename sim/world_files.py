@@ -20,7 +20,7 @@ class _AnyShapeSpec(Settings):
     name: str = ""
     reflectivity: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
     when: dict[str, str] = Field({})
-    """Options of the world under which it is there, e.g. `{gate: shut}`; none: always."""
+    """Options of the world with which it exists, e.g. `{gate: shut}`; none: always."""
 
 
 class _ShapeSpec(_AnyShapeSpec):
@@ -127,7 +127,7 @@ class WorldSpec(Settings):
 
 
 class GeneratorSpec(Settings):
-    """A world file that asks for a generated world."""
+    """A world file that names a generator."""
 
     generator: str
     seed: Annotated[int, Field(ge=0)]

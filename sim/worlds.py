@@ -48,7 +48,7 @@ def load_world(name_or_path: str) -> World:
         raise InputError(
             f"unknown world '{name_or_path}': known are {', '.join(world_names())}, "
             f"{', '.join(f'{generator}:SEED' for generator in GENERATORS)}, a .yaml, .world or .sdf file, "
-            "or a class of yours (module:Class)"
+            "or your own class (module:Class)"
         )
     path = find_named(name, FOLDER, "world")
     data = read_mapping(path)
@@ -79,7 +79,7 @@ def load_world(name_or_path: str) -> World:
 
 
 def own_world(name: str) -> tuple[str, str] | None:
-    """`module:Class` and its options of a world's name, where it could be that of a class of the user's."""
+    """`module:Class` and its options, if a world's name could be that of a user's class."""
     module, _, rest = name.partition("+clutter:")[0].partition(":")
     part, _, options = rest.partition(":")
     theirs = module in (*GENERATORS, *world_names()) or module.endswith((".yaml", ".yml", ".world", ".sdf"))

@@ -80,7 +80,7 @@ class Amcl:
 
     @property
     def initialised(self) -> bool:
-        """Whether the filter was told, or told to find out, where it is."""
+        """Whether the filter was initialised, with a pose or globally."""
         return self.size > 0
 
     @property
@@ -118,7 +118,7 @@ class Amcl:
 
     @property
     def pushes(self) -> int:
-        """How often it was seen that someone had pushed the standing robot."""
+        """How often a push of the standing robot was detected."""
         return self.push.pushes
 
     @property

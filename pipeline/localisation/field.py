@@ -65,7 +65,7 @@ class DistanceField:
 
 
 def distance_field(grid: OccupancyGrid, max_dist: float) -> DistanceField:
-    """The field of a map; ValueError when nothing in it is occupied."""
+    """The field of a map; ValueError without an occupied cell."""
     occupied = grid.cells >= OCCUPIED
     if not occupied.any():
         raise ValueError("the map has no occupied cell")

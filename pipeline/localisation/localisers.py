@@ -28,7 +28,7 @@ def make_localiser(
     config: AmclConfig,
     rng: np.random.Generator,
 ) -> Localiser:
-    """The localiser of that name; InputError where it is the user's own and not to be had."""
+    """The localiser of that name; InputError if it is a user's class that cannot be loaded."""
     made: Localiser = chosen(name, {"amcl": Amcl}, Localiser)(grid, lidar, T_base_lidar, config, rng)
     require_attributes(made, Localiser)
     return made

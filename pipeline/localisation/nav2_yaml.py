@@ -29,7 +29,7 @@ def is_nav2(data: dict[str, Any]) -> bool:
 
 
 def read_nav2(data: dict[str, Any], *, where: str) -> tuple[dict[str, Any], list[str]]:
-    """Parameters of the `amcl` node by our names, and those that we have not; InputError when there is none.
+    """Parameters of the `amcl` node under our names, and those we do not have; InputError without the node.
 
     Whatever their laser model, ours is the likelihood field with its probabilities multiplied.
     """

@@ -124,16 +124,16 @@ class Aliasing:
 
 
 class PoseHypotheses:
-    """Motions of the map onto itself, T_map_map, one of which is right, and how each explains the scans."""
+    """Hypotheses as motions of the map onto itself, T_map_map, and how well each explains the scans."""
 
     def __init__(self, poses: Sequence[SE2]) -> None:
         self.poses = list(poses)
         self._fits: deque[Array] = deque(maxlen=SCANS)
 
     def judge(self, fits: Array) -> SE2 | None:
-        """Take in the agreement (n,) of a scan under each; the one that is left when no other is any more.
+        """Update with the agreement (n,) of a scan under each; returns the last hypothesis, if only one is left.
 
-        Those left far behind over `SCANS` scans are dropped.
+        Hypotheses that fall clearly behind over `SCANS` scans are dropped.
         """
         self._fits.append(fits)
         if len(self._fits) == SCANS:

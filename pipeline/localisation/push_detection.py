@@ -38,16 +38,16 @@ class PushDetector:
         self.moved()
 
     def moved(self) -> None:
-        """The wheels have turned: what the filter does anyway is enough."""
+        """The wheels have turned: start anew; the filter's own updates suffice."""
         self._reference: tuple[Array, SE2] | None = None
         self._changed = self._alert = self._pause = self._next_pause = 0
 
     def pushed(
         self, scan: Scan, T_odom_base: SE2, pose: Array, agreement: Callable[[Array], Array]
     ) -> Array | None:
-        """How wide to draw the cloud anew, (3,) standard deviations; None when nothing has happened.
+        """Standard deviations (3,) for spreading the particles after a push; None without one.
 
-        `pose` (3,) is the estimate, `agreement` says how well the map explains the scan from poses (n, 3).
+        `pose` (3,) is the estimate, `agreement` rates how well the map explains the scan from poses (n, 3).
         """
         if not self._worth_a_look(scan, T_odom_base):
             return None

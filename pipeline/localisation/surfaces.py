@@ -62,7 +62,7 @@ class Surfaces(NamedTuple):
 
 
 def fit_surfaces(grid: OccupancyGrid) -> Surfaces:
-    """Surfaces of a map; ValueError when nothing in it is occupied."""
+    """Surfaces of a map; ValueError without an occupied cell."""
     occupied = np.pad(grid.cells >= OCCUPIED, MARGIN_CELLS)
     if not occupied.any():
         raise ValueError("the map has no occupied cell")

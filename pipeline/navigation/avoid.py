@@ -14,7 +14,7 @@ from turtlebag.sim.robots import PERIOD_S
 
 
 class AvoidDriver(Driver):
-    """Decides at every scan, and says what it saw when it decides something else."""
+    """Decides at every scan, and reports the sectors when the decision changes."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class AvoidDriver(Driver):
         return self._last
 
     def stand_by(self, observation: Observation) -> None:
-        """Look on while someone else drives; the time of the task goes on."""
+        """Keep sensing during a teleop override; the task's clock runs on."""
         self.sensing.observe(observation)
         if observation.stamp_ns >= self._duration_ns:
             self.finished, self.state = True, "done"

@@ -38,7 +38,7 @@ class SlipWatch:
         self._pose = None
 
     def slipping(self, T_odom_base: SE2, hits_odom: Array) -> bool:
-        """Whether the new sweep fits the remembered one better without the motion odometry tells of."""
+        """Whether the new sweep fits the remembered one better without the odometry's motion."""
         points = T_odom_base.inverse() @ hits_odom
         if self._pose is None or len(points) < LEAST_POINTS or len(self._points) < LEAST_POINTS:
             self._pose, self._points = T_odom_base, points

@@ -26,10 +26,10 @@ ControllerName = Annotated[str, part_of("pursuit", "dwa")]
 
 
 class MaplessConfig(Settings, allow_inf_nan=False):
-    """Goals without a map: the costmap is a window about the robot with what the scans showed."""
+    """Mapless goals: the costmap is a rolling window around the robot."""
 
     window: float = Field(default=16.0, ge=4.0, le=100.0)
-    """Side of the window [m]; what leaves it is forgotten."""
+    """Side of the rolling window [m]; what leaves it is forgotten."""
     controller: ControllerName = "dwa"
     recovery: RecoveryConfig = RecoveryConfig(
         ladder=(
@@ -45,11 +45,11 @@ class MaplessConfig(Settings, allow_inf_nan=False):
         stuck_time=1.0,
         back_up_v=0.2,
     )
-    """Takes the place of `recovery`: among things never seen before, getting out comes before waiting."""
+    """Replaces `recovery`: in unknown surroundings, backing out comes before waiting."""
 
 
 class NavigateConfig(Settings, allow_inf_nan=False):
-    """One section for each part."""
+    """The settings of `navigate`, one section per component."""
 
     sim: SimConfig = SimConfig()
     localiser: LocaliserName = "amcl"

@@ -51,7 +51,7 @@ class Disambiguation:
         self._runner: GoalRunner | None = None
 
     def rest(self) -> None:
-        """Someone else has driven meanwhile."""
+        """A teleop override has ended."""
         self._runner = None
 
     def judge(self, localiser: Localiser) -> SE2 | None:
@@ -62,7 +62,7 @@ class Disambiguation:
         return self._hypotheses.judge(fits)
 
     def command(self, tick: Tick, most_s: float) -> Twist | None:
-        """The command of a tick; None when nothing more can be done in `most_s` seconds."""
+        """The command of a tick; None if nothing more can be done within `most_s` seconds."""
         if tick.now_ns - self._began_ns > round(most_s * 1e9):
             return None
         if self._runner is None:

@@ -71,7 +71,7 @@ class Kit:
 def make_navigator(
     kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.DRIVE
 ) -> tuple[NavigationDriver, Localiser]:
-    """A driver on a map and its localiser, which was told no pose yet."""
+    """A driver on a map, and its localiser, not yet initialised."""
     config, robot = kit.config, kit.robot
     lidar = robot.lidar.spec(config.sim.lidar.turning)
     parts = grid, lidar, robot.T_base_lidar, config.amcl
@@ -91,7 +91,7 @@ def make_navigator(
 
 
 def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:
-    """A driver by odometry and what is seen alone; goals are in the odometry frame."""
+    """A mapless driver, by odometry and scans alone; goals are in the odometry frame."""
     m = kit.config.mapless
     plan = kit.config.plan.model_copy(update={"inflation_radius": MAPLESS_INFLATION_M})
     own = {"controller": m.controller, "recovery": m.recovery, "plan": plan}
@@ -109,12 +109,12 @@ def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
 
 
 def make_avoider(kit: Kit, end_s: float, say: Callable[[str], None]) -> AvoidDriver:
-    """A driver that touches nothing, until a stamp [s]; `say` is told each decision."""
+    """A driver that avoids obstacles, until a stamp [s]; `say` receives each decision."""
     return AvoidDriver(kit.config.avoid, kit.robot.model, kit.sensing, end_s, say)
 
 
 def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
-    """The local controller that the configuration names; InputError where it is not to be had."""
+    """The configured local controller; InputError if it cannot be loaded."""
     if config.controller == "dwa":
         return Dwa(robot.model, config.dwa, PERIOD_S)
     if config.controller == "pursuit":

@@ -26,7 +26,7 @@ from turtlebag.sim.simulator import Simulator
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What a run did: metrics as in the contract, the log, and where it thought it was at each scan."""
+    """The result of a run: metrics, the log, and the estimated pose at each scan."""
 
     metrics: RunMetrics
     log: RunLog
@@ -35,13 +35,13 @@ class Episode:
     grid: OccupancyGrid | None = None
     """The map that the run made, if it made one."""
     asked: tuple[Interval, ...] = ()
-    """What was asked for in takeovers: a script that does the same again."""
+    """The overrides, as a script that repeats them."""
 
 
 class Audience(NamedTuple):
-    """Who is told of a run: a bag, who hears what the driver says, who is shown every tick; else nobody.
+    """Outputs of a run: a bag, messages of the driver, and a view of every tick; by default none.
 
-    There is something in `interrupted` when they want it to end.
+    A non-empty `interrupted` ends the run.
     """
 
     bag: BagWriter = NoBag()

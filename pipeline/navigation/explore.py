@@ -31,7 +31,7 @@ ARRIVED = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=math.pi, s
 
 
 class ExploreConfig(Settings, allow_inf_nan=False):
-    """How the world is mapped on the way."""
+    """Mapping during exploration."""
 
     slam: SlamConfig = SlamConfig()
 
@@ -89,7 +89,7 @@ class ExploreDriver(Driver):
         return self._pursue(self._way.runner, observation)
 
     def stand_by(self, observation: Observation) -> None:
-        """Map on while someone else drives."""
+        """Keep mapping during a teleop override."""
         self.sensing.observe(observation)
         self.online.observe(observation)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base

@@ -32,7 +32,7 @@ LOOK_AHEAD_M = 2.5
 
 
 class Tick(NamedTuple):
-    """What a runner is told of a control period."""
+    """The data of a control period for the goal runner."""
 
     now_ns: int
     pose: SE2

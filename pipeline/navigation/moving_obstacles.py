@@ -29,7 +29,7 @@ STOP_M = 0.35
 
 
 class MovingWatch:
-    """Stops the robot for what moves near by: who walks into a robot sees it, who is run over may not.
+    """Stops the robot for moving obstacles nearby: a person can avoid a standing robot more easily.
 
     A point of the newest sweep moved where a sweep a little older saw through its place.
     """

@@ -35,7 +35,7 @@ class _Pursuit:
 
 
 class NavigationDriver(Driver):
-    """Drives on a map, or without one where there is no `relocaliser`."""
+    """Drives on a map, or mapless without a `relocaliser`."""
 
     def __init__(
         self, tools: Tools, sensing: Sensing, sequence: GoalSequence, relocaliser: Relocaliser | None = None
@@ -47,7 +47,7 @@ class NavigationDriver(Driver):
         self._now = 0
 
     def step(self, observation: Observation) -> Twist:
-        """Localise, ask the task for the goal, pursue it."""
+        """Localise, get the current goal, and run it."""
         now, relocaliser = observation.stamp_ns, self.relocaliser
         span_ns, self._now = now - self._now, now
         sweep = self.sensing.observe(observation)
@@ -79,13 +79,13 @@ class NavigationDriver(Driver):
         return self._pursue(self._pursuit, observation, T_frame_odom @ observation.odometry.T_odom_base)
 
     def begin(self, sequence: GoalSequence) -> None:
-        """Other goals from the next step on; what it knows of its place stays."""
+        """Other goals from the next step on; localisation is kept."""
         self.sequence, self._pursuit, self.finished = sequence, None, False
         if self.relocaliser is not None:
             self.relocaliser.accept()
 
     def told(self, T_map_base: SE2 | Literal["global"], T_odom_base: SE2) -> None:
-        """A person says where the robot is, or to find out: what was seen by another pose is void."""
+        """Set a pose estimate, or start global localisation; obstacles seen by the old pose are void."""
         assert self.relocaliser is not None
         self.relocaliser.localiser.tell(T_map_base, T_odom_base)
         self.relocaliser.told(State.WIGGLE if T_map_base == "global" else State.DRIVE)
@@ -99,7 +99,7 @@ class NavigationDriver(Driver):
         self._forget_route()
 
     def stand_by(self, observation: Observation) -> None:
-        """Localise and look on while someone else drives; the goal's clock stands."""
+        """Keep localising and sensing during a teleop override; the goal's clock stops."""
         sweep = self.sensing.observe(observation)
         if self.relocaliser is None or self.relocaliser.localiser.amcl.initialised:
             T_frame_odom = self._localise(observation)

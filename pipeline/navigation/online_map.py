@@ -19,7 +19,7 @@ HERE_M = 0.15
 
 
 class OnlineMap:
-    """Takes in observations; `update` draws the map so far. The map frame is odometry's at the start."""
+    """Maps the observations; `update` makes the map so far. The map frame is the odometry's at the start."""
 
     def __init__(self, T_base_lidar: SE2, config: SlamConfig) -> None:
         self.T_map_odom = SE2.identity()

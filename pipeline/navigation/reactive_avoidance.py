@@ -48,7 +48,7 @@ class ReactiveAvoidance:
         """What was decided at the newest sweep."""
 
     def interrupted(self) -> None:
-        """Someone else has driven: manoeuvres and what was being watched are over; places stay known."""
+        """A teleop override has ended: manoeuvres and watches start anew; bumped places are kept."""
         self._progress.reset()
         self.decision = Decision("hold", Twist())
         self._turning, self._flips = 0.0, 0

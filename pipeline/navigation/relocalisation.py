@@ -39,15 +39,15 @@ class Relocaliser:
         self.comparison: Disambiguation | None = None
         """The drive that decides between pose hypotheses, while there are any."""
         self.void = False
-        """Whether this tick has shown that what was planned and seen before was by a wrong pose."""
+        """Whether plans and obstacles are void because this tick revealed a wrong pose."""
         self.tools = tools
-        """What it drives with."""
+        """Controller, costmap and planner."""
         self._aliasing, self._avoidance, self._wiggle = aliasing, avoidance, Wiggle()
         self._sureness = _Sureness()
         self._T_map_odom: SE2 | None = None
 
     def update(self, observation: Observation, *, examine: bool) -> State:
-        """What to do in this tick; hypotheses are looked for where there is a goal to `examine` them for."""
+        """The state for this tick; pose hypotheses are generated if there is a goal to `examine` them for."""
         now, machine, localiser = observation.stamp_ns, self.machine, self.localiser
         before, self.void = machine.state, False
         if before is State.WIGGLE:
@@ -75,7 +75,7 @@ class Relocaliser:
         return machine.state
 
     def told(self, state: State) -> None:
-        """A person has told the localiser a pose, or to search for one: all doubts before are over."""
+        """A pose estimate was set, or global localisation started: earlier doubts are void."""
         self.machine, self.comparison = RelocalisationStates(self.machine.config, state), None
         self._sureness = _Sureness(self.localiser.amcl.searches)
         self.accept()
@@ -83,20 +83,20 @@ class Relocaliser:
         self._avoidance.interrupted()
 
     def accept(self) -> None:
-        """How the estimate has moved until now is no reason for doubt."""
+        """Past jumps of the estimate are no reason for doubt."""
         self._T_map_odom = self.localiser.T_map_odom
 
     def doubt(self, now_ns: int) -> None:
-        """Something else speaks for being lost: look about at once."""
+        """Other evidence of being lost: look around at once."""
         self.machine.on(Event.DOUBTED, now_ns, self.localiser.updates)
 
     def rest(self) -> None:
-        """Someone else has driven meanwhile."""
+        """A teleop override has ended."""
         if self.comparison is not None:
             self.comparison.rest()
 
     def turn_or_roam(self, observation: Observation, last: Twist, sensing: Sensing) -> Twist:
-        """The command while it is lost: no map is used, nothing seen is touched."""
+        """The command while lost: without the map, avoiding obstacles by the scans."""
         now, state, T_odom_base = observation.stamp_ns, self.machine.state, observation.odometry.T_odom_base
         controller = self.tools.controller
         if state is State.ROAM and sensing.sweep is not None:
@@ -118,7 +118,7 @@ class Relocaliser:
         return controller.ramp(Twist(0.0, turn.w * factor), last)
 
     def compare(self, tick: Tick) -> Twist | None:
-        """The command on the way to where hypotheses differ; None when nothing more can be done."""
+        """The command of active disambiguation; None if nothing more can be done."""
         assert self.comparison is not None
         if self._sureness.new_update(self.localiser):
             left = self.comparison.judge(self.localiser)

@@ -14,24 +14,24 @@ from turtlebag.datasets.settings import Settings
 
 
 class State(StrEnum):
-    """What the robot does; the words stand in the run log, but for `drive`."""
+    """The robot's behaviour; the values are in the run log, except `drive`."""
 
     WIGGLE = "wiggle"
-    """It turns to and fro before it believes the pose that it was told."""
+    """Turning back and forth to check the initial pose."""
     DRIVE = "drive"
-    """It takes itself to know where it is."""
+    """Localised: driving to the goal."""
     LOOK = "look"
-    """It has stopped, and turns to and fro."""
+    """Stopped, turning back and forth."""
     ROAM = "roam"
-    """It drives about, touching nothing."""
+    """Driving around reactively, avoiding obstacles."""
     RESTART = "restart"
-    """It forgets every pose, for one tick."""
+    """Restarting global localisation, for one tick."""
     COMPARE = "tell_apart"
-    """It drives to where its pose hypotheses would look different."""
+    """Driving to where the scans expected under the pose hypotheses differ."""
     GIVE_UP = "give_up"
-    """It gives up the goal, for one tick."""
+    """Giving up the goal, for one tick."""
     PUSHED = "pushed"
-    """Someone is pushing it: it stands still until that has been over for a while."""
+    """Being pushed: standing still until no push has occurred for a while."""
 
 
 class Event(Enum):
@@ -69,28 +69,28 @@ TRANSITIONS = {
 
 
 DOUBTS = 2
-"""Filter updates in a row that find the robot lost before it stops."""
+"""Filter updates in a row that report the robot lost before it stops."""
 SETTLED_S = 1.0
-"""So long the cloud must be narrow and the scans agree before it goes on."""
+"""How long the cloud must be narrow and the scans agree before it drives on."""
 TRUST_S = 15.0
-"""So long it is not asked again whether the scans agree: people and boxes are not on the map."""
+"""How long scan agreement is then not checked again: people and boxes are not on the map."""
 PUSHED_S = 2.0
-"""For so long after it was pushed the robot stands still: whoever pushes may not have done yet."""
+"""How long the robot stands still after a push: another may follow."""
 
 
 class RelocaliseConfig(Settings, allow_inf_nan=False):
-    """Seconds, but for `restarts`."""
+    """Time limits in seconds, and the number of restarts."""
 
     look: Seconds = Field(default=5.0, gt=0.0)
-    """It turns to and fro for so long; a cloud that is narrow then is trusted: no better place was found."""
+    """Time to turn back and forth; if the cloud is narrow then, it is trusted."""
     roam: Seconds = Field(default=45.0, gt=0.0)
-    """It drives about for so long, touching nothing, until the cloud settles."""
+    """Time to drive around reactively until the cloud settles."""
     restarts: int = Field(default=2, ge=0)
-    """Then it forgets every pose and begins again, so often; then the goal is given up.
+    """Restarts of global localisation after that, before the goal is given up.
 
-    So often, too, it looks about where a goal only seems to have ended."""
+    Also the number of times it looks around at a goal that only seems to be reached."""
     tell_apart: Seconds = 120.0
-    """Two places look alike: it drives for so long to where they would not; then the goal is given up."""
+    """Time for active disambiguation between pose hypotheses; then the goal is given up."""
 
 
 class RelocalisationStates:
@@ -104,7 +104,7 @@ class RelocalisationStates:
         self._doubts = self._updates = self._updates_then = self._restarts = 0
 
     def update(self, now_ns: int, narrow: bool, agrees: bool, updates: int) -> State:
-        """What to do now; RESTART and GIVE_UP are said once."""
+        """The state for this tick; RESTART and GIVE_UP last one tick."""
         if self.state in (State.RESTART, State.GIVE_UP):
             self.on(Event.SAID, now_ns, updates)
         good = narrow and (agrees or now_ns < self._trusted_ns)
@@ -117,7 +117,7 @@ class RelocalisationStates:
         return self.state
 
     def on(self, event: Event, now_ns: int, updates: int) -> None:
-        """Go where the table of transitions says."""
+        """Apply the transition table."""
         self.state = TRANSITIONS[self.state, event]
         self._since_ns = now_ns
         if event not in (Event.ALIKE, Event.DECIDED, Event.PUSHED):

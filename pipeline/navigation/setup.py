@@ -45,10 +45,10 @@ SINGLE_GOAL = {"initial_wait": 0.0, "timeout": 600.0}
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What a run is asked to do. `initial_pose` is a pose, `start`, `global`, or None for none told."""
+    """The options of a run. `initial_pose` is a pose, `start`, `global`, or None (no initial pose)."""
 
     task: str
-    """One of TASKS, or a class of the user's, a `Task`."""
+    """One of TASKS, or a user's `Task` class."""
     seed: int
     map_path: Path | None = None
     start: SE2 | None = None
@@ -60,16 +60,16 @@ class Request:
     duration_s: float | None = None
     wiggle: bool = False
     takeover: Literal["keyboard"] | Path | None = None
-    """Who may take over: the keyboard, or a file of intervals in place of the configured ones."""
+    """Source of overrides: the keyboard, or a file of intervals instead of the configured ones."""
     keepout: tuple[Array, ...] | None = None
-    """Outlines (n, 2) to stay out of; None for those that the world comes with."""
+    """Keep-out outlines (n, 2); None for the world's own."""
     keepout_path: Path | None = None
     """The file that the outlines were read from."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mission:
-    """A request that has been checked: the map, the places to go and to keep out of."""
+    """A checked request, with map, goals and keep-out areas loaded."""
 
     request: Request
     config: NavigateConfig
@@ -82,9 +82,9 @@ class Mission:
 def prepare(
     request: Request, robot: RobotSpec, config: NavigateConfig, keepout: Sequence[Array] = ()
 ) -> Mission:
-    """Check a request and load what it names; InputError before anything is written.
+    """Check a request and load its files; InputError before anything is written.
 
-    `keepout` are the world's own outlines, (n, 2) each; those of the waypoints file come on top.
+    `keepout` are the world's own outlines, (n, 2) each; those of the waypoints file are added.
     """
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")

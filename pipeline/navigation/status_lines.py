@@ -19,9 +19,9 @@ from turtlebag.sim.simulator import Truth
 
 
 class News:
-    """Tells of goals begun and ended and of takeovers, a line each, as they happen.
+    """Reports the start and end of goals and overrides, one line each, as they happen.
 
-    `tell` takes a line, the first of which is `opening`; `clock` is told the simulated time at each tick.
+    `tell` receives the lines, first `opening`; `clock` receives the simulated time at each tick.
     """
 
     def __init__(self, opening: str, tell: Callable[[str], None], clock: Simulated) -> None:

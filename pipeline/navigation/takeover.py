@@ -31,7 +31,7 @@ LATEST_S = 1e9
 
 
 class Interval(Settings, allow_inf_nan=False):
-    """Someone asks for one command from a time on until before another [s, m/s, rad/s]."""
+    """A teleop command from `begin` until just before `end` [s, m/s, rad/s]."""
 
     begin: float = Field(ge=0.0)
     end: float = Field(le=LATEST_S)
@@ -46,14 +46,14 @@ class Interval(Settings, allow_inf_nan=False):
 
 
 class TakeoverConfig(Settings, allow_inf_nan=False):
-    """Who may take over, and what holds then."""
+    """Teleop override."""
 
     monitor: bool = True
-    """Whether the collision monitor limits what is asked for, too; without it a person may push."""
+    """Whether the collision monitor also limits teleop commands; without it a person can push obstacles."""
     speed: float = Field(default=1.0, gt=0.0)
-    """With a keyboard: times real time."""
+    """Simulation speed with a keyboard, in times real time."""
     script: tuple[Interval, ...] = ()
-    """Takeovers without a keyboard; those that follow on one another without a gap are one."""
+    """Overrides by script; intervals without a gap between them count as one."""
 
     @model_validator(mode="after")
     def _in_order(self) -> TakeoverConfig:
@@ -64,15 +64,15 @@ class TakeoverConfig(Settings, allow_inf_nan=False):
 
 
 class Source(Protocol):
-    """Where takeovers come from."""
+    """The source of teleop commands."""
 
     def asked(self, stamp_ns: int) -> Twist | None:
-        """The command asked for at this tick; None when nobody has taken over."""
+        """The teleop command at this tick; None without an override."""
         ...
 
 
 class Script:
-    """Takeovers known beforehand. Stamps are compared in whole nanoseconds."""
+    """Overrides by script. Stamps are compared in whole nanoseconds."""
 
     def __init__(self, script: tuple[Interval, ...]) -> None:
         self._spans = [(round(i.begin * 1e9), round(i.end * 1e9), Twist(i.v, i.w)) for i in script]
@@ -102,9 +102,9 @@ def script_text(script: Sequence[Interval]) -> str:
 
 
 class CommandOwner:
-    """A driver and the one who may take over from it; says whose command each tick has.
+    """Arbitrates between a driver and teleop: whose command is executed in each tick.
 
-    `monitor` limits what is asked for in a takeover, too; without one a person may push.
+    `monitor` also limits teleop commands; without it a person can push obstacles.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class CommandOwner:
         self.driver = driver
         self.owner: Owner = "navigation"
         self.asked: list[Interval] = []
-        """What was asked for in the takeovers so far: a script that does the same again."""
+        """The overrides so far, as a script that repeats them."""
         self._source = source
         self._monitor = monitor
         self._limits = SpeedLimits.of(model, PERIOD_S)
@@ -121,7 +121,7 @@ class CommandOwner:
 
     @property
     def state(self) -> str:
-        """The driver's word, or `teleop`."""
+        """The driver's state, or `teleop`."""
         return self.driver.state if self.owner == "navigation" else "teleop"
 
     def step(self, observation: Observation) -> Twist:

@@ -31,7 +31,7 @@ from turtlebag.planners.grid_distance import grid_distance
 
 
 class DwaConfig(Settings):
-    """Whose numbers are used."""
+    """The parameter preset."""
 
     preset: Literal["own", "tutorial"] = "own"
     """`tutorial`: turtlebot3_navigation's (noetic, dwa_local_planner_params)."""

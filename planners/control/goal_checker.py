@@ -29,7 +29,7 @@ class GoalCheckerConfig(Settings, allow_inf_nan=False):
     xy_goal_tolerance: float | None = Field(default=None, gt=0.0)
     yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)
     hold: Seconds = 0.3
-    """Seconds it must stay so."""
+    """Seconds it must hold."""
     stop: bool = True
     """Whether the robot must stand still there; otherwise passing by is enough."""
 

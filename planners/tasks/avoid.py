@@ -19,10 +19,10 @@ CRUISE_V, SLOW_V, SLOW_W, TURN_W = 0.2, 0.1, 0.3, 0.5
 
 
 class AvoidConfig(Settings):
-    """How things are avoided."""
+    """Obstacle avoidance."""
 
     mode: Literal["guarded", "tutorial"] = "guarded"
-    """`tutorial` is the exact rule; `guarded` the same for a robot that knows its own shape."""
+    """`tutorial` is the exact rule; `guarded` the same with the robot's footprint."""
 
 
 @dataclass(frozen=True)

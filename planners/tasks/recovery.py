@@ -32,7 +32,7 @@ class Rung(Settings, allow_inf_nan=False):
 
 
 class RecoveryConfig(Settings, allow_inf_nan=False):
-    """The ladder and when it is climbed; seconds and metres."""
+    """The sequence of recovery behaviours and its limits; seconds and metres."""
 
     ladder: tuple[Rung, ...] = (
         Rung(kind="wait", amount=2.0),
@@ -46,9 +46,9 @@ class RecoveryConfig(Settings, allow_inf_nan=False):
         Rung(kind="wait", amount=15.0),
     )
     total: int = Field(default=20, ge=0)
-    """Manoeuvres for one goal altogether; then it is given up."""
+    """Recoveries per goal, after which it is given up."""
     stuck_time: Seconds = Field(default=5.0, gt=0.0)
-    """Without moving for so long the robot counts as stuck."""
+    """Time without motion after which the robot counts as stuck."""
     back_up_v: float = Field(default=0.08, ge=1e-3)
 
 

@@ -23,12 +23,12 @@ class SequenceConfig(Settings, allow_inf_nan=False):
     timeout: Seconds = Field(default=60.0, gt=0.0)
     """For each goal, from the moment it is set."""
     pause: Seconds = 1.0
-    """After each goal reached that has no wait of its own."""
+    """After each reached goal without its own wait."""
     laps: int = Field(default=1, ge=1)
     closed: bool = False
-    """Whether a lap ends at its first waypoint again."""
+    """Whether a lap returns to its first waypoint."""
     retry_missed: bool = False
-    """Whether a goal not reached is tried once more after the last lap."""
+    """Whether missed goals are tried once more after the last lap."""
 
 
 @dataclass(frozen=True, eq=False)

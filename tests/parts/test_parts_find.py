@@ -215,7 +215,7 @@ def test_a_world_is_a_class_with_options(here):
     assert own_files("halls:Hall:wide=2", None) == {"world": Path("halls.py")}
     with pytest.raises(InputError, match="halls:Flat: world: must return a World, not None"):
         load_world("halls:Flat")
-    with pytest.raises(InputError, match="or a class of yours"):
+    with pytest.raises(InputError, match="or your own class"):
         load_world("hals")
 
 
