@@ -131,7 +131,7 @@ class PoseHypotheses:
         self._fits: deque[Array] = deque(maxlen=SCANS)
 
     def judge(self, fits: Array) -> SE2 | None:
-        """Update with the agreement (n,) of a scan under each; returns the last hypothesis, if only one is left.
+        """Update with the agreement (n,) of a scan under each; the last hypothesis, if only one is left.
 
         Hypotheses that fall clearly behind over `SCANS` scans are dropped.
         """

@@ -30,7 +30,7 @@ KINDS = {
     ".svg": "image/svg+xml",
     ".png": "image/png",
 }
-"""What the page consists of. The system's own table is not asked: it may say anything of .js."""
+"""Files of the page by type. The system's MIME table is not used: it may have any type for .js."""
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
     "connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -43,12 +43,12 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""No frame of others, no guessing, and the address with the token in it is told to nobody."""
+"""No framing, no content sniffing, no referrer: the address contains the token."""
 
 
 @dataclass(frozen=True)
 class Access:
-    """What is let in: requests to `host` and `port`, which are listened at, with the token."""
+    """Accepts requests to the listening `host` and `port` with the token."""
 
     token: str
     host: str
@@ -73,7 +73,7 @@ class Access:
         return _is_any(self.host) and (name == socket.gethostname().lower() or _address(name) is not None)
 
     def knows(self, token: str) -> bool:
-        """Whether this is the token, in a time that does not tell how much of it is right."""
+        """Whether this is the token, compared in constant time."""
         return secrets.compare_digest(token.encode(), self.token.encode())
 
 
@@ -147,7 +147,7 @@ class CheckedHandler(RequestHandler):
         self.finish(f"{status_code}: {self._reason}\n")
 
     def log_exception(self, kind: Any, error: Any, trace: Any) -> None:
-        """What is refused is the client's concern: the terminal tells of our own faults alone."""
+        """Refusals are the client's concern: the terminal shows only our own errors."""
         if not isinstance(error, HTTPError):
             super().log_exception(kind, error, trace)
 
@@ -158,7 +158,7 @@ class CheckedHandler(RequestHandler):
 
 
 class Page(CheckedHandler):
-    """The page itself, to which the token is the key."""
+    """The page itself, which needs the token."""
 
     def get(self, name: str = "index.html") -> None:
         """One of the files that were there when the studio began; no other name leads anywhere."""

@@ -27,7 +27,7 @@ BOX_HEIGHT_M, MOST_BOXES = 0.5, 100
 
 
 def map_start(run: Run, action: inputs.Plain) -> str:
-    """Begin a new map; one that is loaded is put away."""
+    """Start a new map; a loaded one is unloaded."""
     if run.pilot.mapping:
         raise InputError("map_start: mapping is already running; stop it first")
     run.end_task("ended: a new map was started")
@@ -36,7 +36,7 @@ def map_start(run: Run, action: inputs.Plain) -> str:
 
 
 def map_stop(run: Run, action: inputs.Plain) -> str:
-    """Add nothing more to the map, which can still be saved."""
+    """Stop mapping; the map can still be saved."""
     if not run.pilot.mapping:
         raise InputError("map_stop: mapping is not running")
     if run.pilot.task is not None and run.pilot.task.kind == "explore":
@@ -46,7 +46,7 @@ def map_stop(run: Run, action: inputs.Plain) -> str:
 
 
 def map_save(run: Run, action: inputs.Save) -> str:
-    """Save the map made here, finished; else the one that is loaded, with what to keep out of."""
+    """Save the map made here, finished, or else the loaded one, with its keep-out areas."""
     library, mapper = run.room.library, run.pilot.mapper
     grid = None if run.loaded is None else run.loaded.grid
     library.check_name(action.name)
@@ -63,7 +63,7 @@ def map_save(run: Run, action: inputs.Save) -> str:
 
 
 def map_load(run: Run, action: inputs.Load) -> str:
-    """Go by a map; the robot does not know yet where on it it is."""
+    """Load a map; the robot is not localised on it yet."""
     path, grid, saved = run.room.library.load_map(action.name)
     keepout = run.room.setup.arena.keepout if saved is None else saved
     costmap = _costmap(run, grid, keepout)
@@ -75,7 +75,7 @@ def map_load(run: Run, action: inputs.Load) -> str:
 
 
 def pose_estimate(run: Run, action: inputs.At) -> str:
-    """Tell the robot where it is."""
+    """Set the pose estimate."""
     navigation, loaded = _on_map(run, "pose_estimate")
     pose = SE2.from_xyt(*action.pose)
     require_on_map("pose_estimate", pose, navigation.tools.obstacles.static, loaded.path)
@@ -86,7 +86,7 @@ def pose_estimate(run: Run, action: inputs.At) -> str:
 
 
 def localise_global(run: Run, action: inputs.Plain) -> str:
-    """Let the robot find out where it is: it may be anywhere."""
+    """Start global localisation."""
     navigation, loaded = _on_map(run, "localise_global")
     require_floor(loaded.grid, loaded.path)
     navigation.told("global", run.observation.odometry.T_odom_base)
@@ -95,7 +95,7 @@ def localise_global(run: Run, action: inputs.Plain) -> str:
 
 
 def goal(run: Run, action: inputs.At) -> str:
-    """Go there: on the map if there is one, else by what is seen."""
+    """Drive to a goal: on the map if there is one, else mapless."""
     pilot, T_map_goal = run.pilot, SE2.from_xyt(*action.pose)
     if pilot.navigation is None:
         run.end_task("ended: another goal was set")
@@ -113,7 +113,7 @@ def goal(run: Run, action: inputs.At) -> str:
 
 
 def patrol(run: Run, action: inputs.Patrol) -> str:
-    """Go to one place after the other."""
+    """Patrol the waypoints."""
     navigation, _ = _localised(run, "patrol")
     run.end_task("ended: a patrol was started")
     stops = [Waypoint(SE2.from_xyt(*stop.pose), "", stop.pose, stop.wait) for stop in action.waypoints]
@@ -132,7 +132,7 @@ def avoid(run: Run, action: inputs.Plain) -> str:
 
 
 def explore(run: Run, action: inputs.Plain) -> str:
-    """Map what can be reached: the map that is being made is gone on with."""
+    """Explore: continues the current map."""
     run.end_task("ended: explore was started")
     if not run.pilot.mapping:
         _new_map(run)
@@ -142,7 +142,7 @@ def explore(run: Run, action: inputs.Plain) -> str:
 
 
 def wiggle(run: Run, action: inputs.Plain) -> str:
-    """Turn to and fro."""
+    """Turn back and forth."""
     _localised(run, "wiggle")
     run.end_task("ended: wiggle")
     assert run.pilot.localiser is not None
@@ -172,7 +172,7 @@ def waypoints_load(run: Run, action: inputs.Load) -> str:
 
 
 def kidnap(run: Run, action: inputs.At) -> str:
-    """Carry the robot elsewhere."""
+    """Kidnap the robot."""
     run.room.simulator.carry(SE2.from_xyt(*action.pose))
     x, y, yaw = action.pose
     return f"kidnapped to {x:.2f}, {y:.2f}, {yaw:.2f}"
@@ -189,7 +189,7 @@ def box(run: Run, action: inputs.DropBox) -> str:
 
 
 def keepout(run: Run, action: inputs.Keepout) -> str:
-    """Keep out of these places, and of no others."""
+    """Set the keep-out areas, replacing earlier ones."""
     outlines = tuple(np.array(outline, dtype=np.float64) for outline in action.outlines)
     if run.loaded is not None:
         costmap = _costmap(run, run.loaded.grid, outlines)
@@ -208,7 +208,7 @@ ACTIONS: dict[str, Callable[[Run, Any], str]] = {
         waypoints_load, avoid, explore, wiggle, cancel, kidnap, box, keepout,
     )
 }  # fmt: skip
-"""By what `do` says: all but those of the session itself, bags, reset and end."""
+"""The actions by `do`, except those of the session itself: bags, reset and end."""
 
 
 def _begin(run: Run, task: Task, opening: str) -> str:
@@ -231,14 +231,14 @@ def _costmap(run: Run, grid: OccupancyGrid, keepout: Sequence[Array]) -> Costmap
 
 
 def _on_map(run: Run, what: str) -> tuple[NavigationDriver, LoadedMap]:
-    """The driver on the map that is loaded, and that; InputError without one."""
+    """The driver on the loaded map, and the map; InputError without one."""
     if run.pilot.navigation is None or run.loaded is None:
         raise InputError(f"{what}: needs a map; load one first")
     return run.pilot.navigation, run.loaded
 
 
 def _localised(run: Run, what: str) -> tuple[NavigationDriver, LoadedMap]:
-    """The same, for a robot that was told where it is."""
+    """The same, for a robot with a pose estimate."""
     found = _on_map(run, what)
     if not run.pilot.told:
         raise InputError(f"{what}: the robot is not localised; set a pose estimate first")

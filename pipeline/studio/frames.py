@@ -73,7 +73,7 @@ class Message:
 
 
 def hello(scene: Scene, *, maps: tuple[str, ...], driver: bool) -> bytes:
-    """What a client is told first: what stays the same. `driver`: whether it is the one that drives."""
+    """The first message to a client, with everything constant. `driver`: whether it drives."""
     message = Message(
         "hello",
         world=scene.world,
@@ -99,7 +99,7 @@ def bye(reason: str) -> bytes:
 
 
 class Frames:
-    """What one client was sent, and so what it lacks. `layers` are those it wants, None for all."""
+    """What one client has been sent so far. `layers` are those it wants, None for all."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._grids_due = clock, -math.inf
@@ -111,7 +111,7 @@ class Frames:
         self._first = True
 
     def frame(self, view: View, told: Mapping[str, Any]) -> bytes:
-        """The message that brings the client to `view`; `told` is put in its header as it is."""
+        """The message that updates the client to `view`; `told` is added to its header unchanged."""
         message = Message("frame", **words(view), **told)
         self._news(message, view)
         for name, columns in COLUMNS.items():
@@ -189,7 +189,7 @@ class Frames:
         return self.layers is None or layer in self.layers
 
     def _changed(self, name: str, value: object) -> bool:
-        """Whether to send it: it is wanted, and another object than was sent last. Then it counts as sent."""
+        """Whether to send it: it is wanted, and not the object sent last. Then it counts as sent."""
         return self._wanted(SHOWN_BY.get(name, name)) and self._is_new(name, value)
 
     def _is_new(self, name: str, value: object) -> bool:

@@ -25,11 +25,11 @@ Outline = Annotated[list[Point], Field(min_length=3, max_length=200)]
 ScanNumber = Annotated[int, Field(strict=True, ge=0, le=10**8)]
 MOST_WAYPOINTS = 500
 DRIVING = ("drive", "stop", "release")
-"""What holds until another is asked for: `session.yaml` has it as intervals, and all else with its time."""
+"""Inputs that hold until the next one: intervals in `session.yaml`; all others have a time."""
 
 
 class Drive(Settings):
-    """Someone drives by hand at this speed [m/s, rad/s]; `stop`: at none; `release`: nobody does any more."""
+    """Teleop at this speed [m/s, rad/s]; `stop`: at zero speed; `release`: end of teleop."""
 
     do: Literal["drive"] = "drive"
     v: Velocity = 0.0
@@ -57,21 +57,21 @@ class Save(Settings):
 
 
 class Load(Settings):
-    """What was saved under a name; without one, the map of the start and the tutorial's waypoints."""
+    """Something saved under a name; without a name, the initial map or the tutorial's waypoints."""
 
     do: Literal["map_load", "waypoints_load"]
     name: Name | Literal[""] = ""
 
 
 class At(Settings):
-    """Where the robot is told to be, is to go, or is carried to in truth: its wheels notice nothing."""
+    """A pose estimate, a goal, or the true pose to which the robot is kidnapped, unnoticed by its wheels."""
 
     do: Literal["pose_estimate", "goal", "kidnap"]
     pose: Pose
 
 
 class Stopover(Settings):
-    """A place of a patrol, and how long to stay there [s]; without `wait`, as long as patrols do."""
+    """A waypoint of a patrol, and the time to stay there [s]; None: the patrol's default."""
 
     pose: Pose
     wait: Annotated[float, Field(strict=True, ge=0.0, le=3600.0, allow_inf_nan=False)] | None = None
@@ -81,7 +81,7 @@ Stopovers = Annotated[list[Stopover], Field(min_length=1, max_length=MOST_WAYPOI
 
 
 class Patrol(Settings):
-    """Go to one place after the other."""
+    """A patrol of waypoints."""
 
     do: Literal["patrol"]
     waypoints: Stopovers
@@ -97,7 +97,7 @@ class WaypointsSave(Settings):
 
 
 class DropBox(Settings):
-    """Put a box, square and unturned, on the floor of the true world: its middle and its side [m]."""
+    """Drop an axis-aligned square box into the true world: its centre and side [m]."""
 
     do: Literal["box"]
     xy: Point
@@ -105,21 +105,21 @@ class DropBox(Settings):
 
 
 class Keepout(Settings):
-    """Places to keep out of, in place of those there were."""
+    """Keep-out areas, replacing earlier ones."""
 
     do: Literal["keepout"]
     outlines: Annotated[list[Outline], Field(max_length=100)]
 
 
 class Seek(Settings):
-    """Go on with the bag from this time after its start [s]."""
+    """Continue the bag from this time after its start [s]."""
 
     do: Literal["seek"] = "seek"
     t: Annotated[float, Field(strict=True, ge=0.0, le=1e7, allow_inf_nan=False)]
 
 
 class Scans(Settings):
-    """Two scans of a loop, to be laid on each other, or said not to have seen the same place."""
+    """Two scans of a loop, to be overlaid, or rejected as different places."""
 
     do: Literal["loop_show", "loop_reject"]
     scan: ScanNumber
@@ -127,7 +127,7 @@ class Scans(Settings):
 
 
 class LoopAdd(Settings):
-    """These scans saw the same place: `scan` lies at `pose`, roughly, seen from `place`."""
+    """Two scans of the same place: `scan` is roughly at `pose` relative to `place`."""
 
     do: Literal["loop_add"]
     scan: ScanNumber
@@ -145,13 +145,13 @@ def _zero_or_more_than_a_tenth(factor: float) -> float:
 
 
 class Button(Settings):
-    """Let the simulated time stand still or go on, or one tick pass while it stands; or drive from now on."""
+    """Pause or resume the simulation, run one tick while paused, or take control."""
 
     do: Literal["pause", "resume", "step", "take_control"]
 
 
 class Speed(Settings):
-    """Simulated seconds a second; 0: as fast as it goes."""
+    """Simulated seconds per second; 0: as fast as possible."""
 
     do: Literal["speed"]
     factor: Annotated[
@@ -160,7 +160,7 @@ class Speed(Settings):
 
 
 class Layers(Settings):
-    """What this client wants to be sent. The page has layers of its own, too: unknown names do nothing."""
+    """The layers to send to this client. The page has other layers of its own: unknown names are ignored."""
 
     do: Literal["layers"]
     layers: Annotated[list[Annotated[str, Field(max_length=64)]], Field(max_length=64)]
@@ -177,12 +177,12 @@ def _names(models: Any) -> tuple[str, ...]:
 
 
 KNOWN = _names(Input)
-"""What `do` of an input may say."""
+"""The known values of `do`."""
 CONTROLS = _names(Control)
 
 
 class Malformed(Exception):
-    """A message that no page of ours sends."""
+    """An invalid message."""
 
 
 def parse_message(message: str | bytes) -> Control | Input:

@@ -19,7 +19,7 @@ STEP, LOOP = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class ShownLoop:
-    """A loop: key numbers, where key i lies seen from key j (3,), and what the mapper says of it."""
+    """A loop: key numbers, the pose of key i relative to key j (3,), and its description."""
 
     i: int
     j: int
@@ -29,14 +29,14 @@ class ShownLoop:
 
 @dataclass(frozen=True, eq=False)
 class ShownGraph:
-    """Poses of the key scans, which scans of the log they are (n,), and the loops."""
+    """Poses of the key scans, their scan numbers in the log (n,), and the loops."""
 
     graph: Graph
     keys: NDArray[np.int64]
     loops: tuple[ShownLoop, ...]
 
     def laid(self, log: Recording, scan: int, place: int) -> LoopMarks:
-        """A scan laid on a place as the loop between them has it; where there is none, as the map has it.
+        """A scan overlaid on a place by the loop between them or, without one, by the map.
 
         InputError for scans that are no key scans.
         """
@@ -61,7 +61,7 @@ class ShownGraph:
 
 
 def graph_of(result: SlamResult) -> ShownGraph:
-    """The graph of a finished map, with the loops that were believed."""
+    """The graph of a finished map, with the accepted loops."""
     loops = []
     for loop in result.loops:
         if loop.accepted:

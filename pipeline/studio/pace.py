@@ -71,7 +71,7 @@ class Pacer:
             self._ticks.popleft()
 
     def pace(self, *, idle: bool) -> Pace:
-        """How time passes now; `idle` where it stands still by itself."""
+        """The current pace; `idle` if time does not pass anyway."""
         factor = 0.0
         if not self._paused and not idle and len(self._ticks) > 1:
             (begun, first), (now, last) = self._ticks[0], self._ticks[-1]

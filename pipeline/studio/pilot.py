@@ -65,12 +65,12 @@ class Task:
 
     @property
     def explorer(self) -> ExploreDriver | None:
-        """The driver that maps by itself, if it is one."""
+        """The driver, if it is exploring."""
         return self.driver if isinstance(self.driver, ExploreDriver) else None
 
 
 class WiggleDriver(Driver):
-    """Turns to and fro, as far as there is room; it only watches the localiser, which others feed."""
+    """Turns back and forth, as far as there is room; it only watches the localiser, which the pilot feeds."""
 
     def __init__(self, kit: Kit, localiser: Localiser) -> None:
         super().__init__(kit.sensing)

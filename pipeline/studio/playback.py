@@ -33,7 +33,7 @@ from turtlebag.sim.robots import stamp_of
 
 EDITS = "edits.yaml"
 DRAWN_EVERY = 60
-"""While mapping, the map is drawn every so many ticks: two seconds of the bag."""
+"""Ticks between map updates while mapping: two seconds of the bag."""
 ROUNDED_S = 0.1
 """So much later than the bag's end may be asked for: those who ask have a rounded time."""
 
@@ -162,7 +162,7 @@ class Playback(Sitting):
     # Where in the bag
 
     def _seek(self, t: float) -> str:
-        """Play from there on; the online mapper stops, because it has not seen what lies between."""
+        """Play from there on; the online mapper stops, because it has not seen the part in between."""
         if t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
             raise InputError(f"seek: the bag ends after {self._at_ns[-1] * 1e-9:.1f} s")
         self._online = None

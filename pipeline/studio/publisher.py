@@ -39,7 +39,7 @@ class Publisher(BagWriter):
         self.grid: OccupancyGrid | None = None
         """The newest map."""
         self.path: SE2 | None = None
-        """The newest plan, (n,) in the frame of whoever planned it."""
+        """The newest plan, (n,) in its planner's frame."""
 
     def observation(self, observation: Observation) -> None:
         """As the bag's, with the cloud."""

@@ -66,7 +66,7 @@ class Run:
         room.publisher.grid = room.publisher.path = None
         self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), room.publisher))
         self.by_hand: Twist | None = None
-        """What was asked for by hand last, which holds; None while nobody drives so."""
+        """The current teleop command; None without teleop."""
         self.owner = CommandOwner(self.pilot, robot.model, self, CollisionMonitor(robot.model))
         self.visuals = Visuals(self.pilot)
         self.command = Twist()
@@ -90,7 +90,7 @@ class Run:
 
     @property
     def T_map_base(self) -> SE2:
-        """Where the robot takes itself to be; by odometry alone while nothing else is known."""
+        """The estimated pose; by odometry alone until there is a better one."""
         return self.pilot.T_map_odom @ self.observation.odometry.T_odom_base
 
     def asked(self, stamp_ns: int) -> Twist | None:
@@ -119,14 +119,14 @@ class Run:
         self.observation = room.simulator.step(self.command)
 
     def begin(self, task: Task) -> None:
-        """Do this from the next tick on; nothing else is being done."""
+        """Start a task with the next tick; no other is running."""
         self.pilot.begin(task)
         self.room.run_log.begin()
         self._news.begin()
         self.shown = task if task.sequence is not None else None
 
     def end_task(self, why: str) -> None:
-        """Break the task off, if there is one."""
+        """End the task, if there is one."""
         task = self.pilot.task
         if task is None:
             return
@@ -136,7 +136,7 @@ class Run:
         self._task_over(task)
 
     def frame_changed(self) -> None:
-        """Where the robot took itself to be until now was on another map."""
+        """The path so far was on another map."""
         self.room.trails["slam"].clear()
         self._loops = 0
 

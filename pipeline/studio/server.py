@@ -40,7 +40,7 @@ WATCHING = "You are watching. Take control to do that."
 
 
 class Studio:
-    """A session, those who watch it, and the one of them who drives. Lives in the event loop's thread."""
+    """A session, its viewers, and the one that drives. Lives in the event loop's thread."""
 
     def __init__(self, session: Sitting) -> None:
         self._scene = session.scene
@@ -73,7 +73,7 @@ class Studio:
             raise self._thread.failure
 
     def join(self, viewer: Viewer) -> None:
-        """Somebody has opened the page; who comes while nobody drives, drives."""
+        """A page was opened; it drives if no other does."""
         if len(self._viewers) >= MOST_VIEWERS:
             viewer.part(TRY_LATER, f"{MOST_VIEWERS} pages are already open: close one")
             return
@@ -84,14 +84,14 @@ class Studio:
         self._thread.want_view()
 
     def leave(self, viewer: Viewer) -> None:
-        """A page was closed. Nobody drives in its place until somebody takes control."""
+        """A page was closed. If it drove, no page drives until one takes control."""
         if viewer in self._viewers:
             self._viewers.remove(viewer)
         if viewer is self._driver:
             self._driver = None
 
     def take(self, viewer: Viewer, asked: Control | Input) -> None:
-        """What a viewer asks for: what to send, anyone may; all else is for the one who drives."""
+        """A message of a viewer: anyone may choose layers; everything else is for the driving page."""
         if isinstance(asked, Layers):
             viewer.frames.layers = frozenset(asked.layers)
         elif asked.do == "take_control":
@@ -152,7 +152,7 @@ class Viewer(CheckedHandler, WebSocketHandler):
         self.studio.join(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Something is asked for; who talks too fast or makes no sense is sent away."""
+        """Handle a message; clients that send too many or invalid ones are disconnected."""
         if self._parted:
             return
         try:

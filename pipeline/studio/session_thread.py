@@ -19,7 +19,7 @@ from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
 HEARTBEAT_S = 0.5
-"""A robot that is driven by hand stops when nobody has asked for its speed for so long."""
+"""Teleop stops the robot if the speed has not been repeated for this long."""
 FRAME_S = 0.1
 IDLE_S = 0.05
 """How long the thread waits at most before it looks at the clock again."""
@@ -71,7 +71,7 @@ class SessionThread:
     # What follows is called by the event loop.
 
     def ask(self, entry: Input, refused: Refused) -> None:
-        """Have an input applied before the next tick; `refused` is told, in the thread, why it was not."""
+        """Have an input applied before the next tick; `refused` is called in the thread with the reason."""
         at = time.monotonic()
         self._todo.put(lambda: self._take(entry, at, refused))
 

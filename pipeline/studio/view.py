@@ -157,19 +157,19 @@ class Scene:
 
 
 class LoopMarks(NamedTuple):
-    """Two scans laid on each other as a loop has them: where their beams ended, (n, 2) and (m, 2)."""
+    """Two scans overlaid by a loop: end points of their beams, (n, 2) and (m, 2)."""
 
     scan: int
     place: int
     scan_points: Array
     place_points: Array
     told: str
-    """Why the loop was believed, or was not, and what is left of it."""
+    """How the loop was found, and its residual."""
 
 
 @dataclass(frozen=True, eq=False)
 class BagMarks:
-    """What there is to tell of a bag that is played."""
+    """The state of a played bag."""
 
     position_s: float
     duration_s: float
@@ -195,9 +195,9 @@ class View:
     command: tuple[float, float] = (0.0, 0.0)
     """v, w [m/s, rad/s] of the last tick."""
     task: str = ""
-    """What is being done: `goal`, `patrol`, `avoid`, `explore`, `wiggle`, or empty."""
+    """The current task: `goal`, `patrol`, `avoid`, `explore`, `wiggle`, or empty."""
     state: str
-    """In a word or two what goes on in it."""
+    """Its state in a word or two."""
     recording: str | None = None
     """Name of the bag that is open."""
     mapping: bool
@@ -236,13 +236,13 @@ class View:
     """Where the present command leads, (n, 2)."""
     odom_path: Path
     slam_path: Path
-    """Where the robot took itself to be."""
+    """The robot's estimated path."""
     true_path: Path = NO_PATH
     graph: Graph | None
     boxes: Array | None = None
     """Boxes that were dropped: (n, 4) x, y of the middle, length along x, width along y."""
     keepout: tuple[Array, ...] = ()
-    """Outlines (k, 2) that are kept out of."""
+    """Keep-out outlines (k, 2)."""
     mover_segments: Array | None = None
     """Of what moves in the true world, for the ghost alone: (n, 4), see `Scene`."""
     mover_circles: Array | None = None
