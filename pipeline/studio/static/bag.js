@@ -1,4 +1,4 @@
-// A bag that is played: where it stands, its loops, and what is said of them.
+// A played bag: its time, its loops, and their descriptions.
 
 import { byId, put } from "./panel.js";
 import { scene } from "./scene.js";
@@ -7,7 +7,7 @@ import { toScreen } from "./view.js";
 const EVERY_MS = 150;
 let held = false, sent = 0;
 
-/** Whether a bag is played, in place of a simulation. */
+/** Whether a bag is played instead of a simulation. */
 export const bagged = () => scene.hello?.robot === "";
 
 /** The node of the graph under a pixel as its number, or -1. */
@@ -50,7 +50,7 @@ export function bagAdvice({ mapping, state }) {
   return state === "playing" ? "" : "Choose Loops and click a loop to overlay its two scans.";
 }
 
-/** Words and states of the bag's controls, after each frame. */
+/** Update the bag's controls after each frame. */
 export function showBag(head) {
   const { bag } = head;
   if (!bag) return;

@@ -6,7 +6,7 @@ import { flagSize, toScreen, toWorld, view } from "./view.js";
 const NAMES = ["ink", "muted", "paper", "rule", "link", "good", "bad", "truth", "odometry", "slam", "estimate", "scan", "loop", "plan"];
 let pen, colour;
 
-/** Colours of the page, as it is light or dark now. */
+/** Colours of the page, light or dark. */
 export function readColours() {
   const style = getComputedStyle(document.documentElement);
   colour = Object.fromEntries(NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
@@ -33,7 +33,7 @@ function fill(style, alpha = 1) {
   pen.globalAlpha = 1;
 }
 
-/** Words with a halo, centred at a place of the screen. */
+/** Text with a halo, centred at a point of the screen. */
 function label(text, px, py, style = colour.ink) {
   pen.lineWidth = 3;
   pen.strokeStyle = colour.paper;
@@ -258,7 +258,7 @@ function scaleBar() {
   label(`${size} m`, x + length / 2, y - 10);
 }
 
-/** Layers from the bottom up: name, words, painter, shown at first. Names of the server's layers are its own. */
+/** Layers from the bottom up: name, label, painter, shown by default. Server layers have the server's names. */
 export const LAYERS = [
   ["map", "Map", () => grid("map"), true],
   ["grid", "Metre grid", metres, true],
@@ -280,7 +280,7 @@ export const LAYERS = [
   ["robot", "Robot", () => scene.head.pose && body(scene.head.pose, colour.estimate, 0.6), true],
 ];
 
-/** What a tool is about to do: an arrow, the robot carried, an outline. */
+/** Preview of a tool: an arrow, the robot being carried, an outline. */
 function sketch({ arrow, carried, outline, tip }) {
   if (arrow) flag(...arrow, "", colour.odometry, { hollow: true });
   if (carried) body(carried, colour.odometry, 0.3);

@@ -1,10 +1,10 @@
-// Driving: W A S D X space Q as in the terminal, and a pad for fingers; a heartbeat while a speed is asked for.
+// Teleop: W A S D X space Q as in the terminal, and a touch pad; a heartbeat repeats the current speed.
 
 const HEARTBEAT_MS = 150, SOONEST_MS = 50;
 const clip = (value, limit) => Math.max(-limit, Math.min(limit, value));
 
 export class Drive {
-  /** `send` takes an input, `show` the speeds asked for now. */
+  /** `send` takes an input, `show` the current speeds. */
   constructor(send, show) {
     Object.assign(this, { send, show, v: 0, w: 0, last: 0 });
     this.steps = { v: 0.01, w: 0.1, max_v: 0.22, max_w: 2.84 };
@@ -23,7 +23,7 @@ export class Drive {
     const { v, w, max_v, max_w } = this.steps;
     if (key === "x" || key === " ") this.stop();
     else if (key === "q") this.release();
-    // Whole steps, so that as many back lead to exactly zero.
+    // Whole steps, so that the same number back gives exactly zero.
     else if (key === "w" || key === "s") this.ask(clip((Math.round(this.v / v) + (key === "w" ? 1 : -1)) * v, max_v), this.w);
     else if (key === "a" || key === "d") this.ask(this.v, clip((Math.round(this.w / w) + (key === "a" ? 1 : -1)) * w, max_w));
     else return false;
@@ -33,7 +33,7 @@ export class Drive {
   ask(v, w) {
     this.v = Number(v.toFixed(4)) || 0;
     this.w = Number(w.toFixed(4)) || 0;
-    // A finger asks more often than anybody needs to know: what is left out, the heartbeat sends.
+    // Touch events are more frequent than needed: the heartbeat sends what is skipped here.
     if ((this.v || this.w) && performance.now() - this.last < SOONEST_MS) this.show(this.v, this.w);
     else this.beat();
   }
@@ -55,18 +55,18 @@ export class Drive {
     this.send({ do: "release" });
   }
 
-  /** Stop if something is asked for: nobody looks at the page any more. */
+  /** Stop when the page is no longer visible. */
   halt() {
     if (this.v || this.w) this.stop();
   }
 
-  /** Ask for nothing more; a task takes over. */
+  /** End teleop; a task takes over. */
   forget() {
     this.v = this.w = 0;
     this.show(0, 0);
   }
 
-  /** A joystick: up is ahead, the middle is fine, letting go stops. */
+  /** A joystick: up is forward, finer near the centre, releasing stops. */
   attach(pad, knob) {
     const move = (event) => {
       if (pad.matches(":disabled *")) return;

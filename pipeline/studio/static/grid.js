@@ -53,7 +53,7 @@ export class Grid {
     this.pen.putImageData(image, column, this.h - row - h);
   }
 
-  /** Value of the cell at a place of the map frame; undefined outside. */
+  /** Value of the cell at a point in the map frame; undefined outside. */
   at(x, y) {
     const [x0, y0, yaw] = this.origin, c = Math.cos(yaw), s = Math.sin(yaw);
     const column = Math.floor((c * (x - x0) + s * (y - y0)) / this.resolution);
@@ -61,7 +61,7 @@ export class Grid {
     return column >= 0 && row >= 0 && column < this.w && row < this.h ? this.cells[row * this.w + column] : undefined;
   }
 
-  /** Corners [x, y] of the box round all known cells, in the map frame; none when nothing is known. */
+  /** Corners [x, y] of the bounding box of all known cells, in the map frame; none if all are unknown. */
   corners() {
     let left = this.w, right = -1, low = this.h, high = -1;
     this.cells.forEach((value, k) => {

@@ -1,4 +1,4 @@
-// The page: joins the socket, the scene, the drawing and the controls.
+// The page: connects the socket, the scene, the drawing and the controls.
 
 import { attachBag, bagged } from "./bag.js";
 import { draw, LAYERS, readColours } from "./draw.js";
@@ -44,7 +44,7 @@ function read() {
   if (readout.value !== (copied || place)) readout.value = copied || place;
 }
 
-/** Send an input. What makes the robot move by itself hands it over first: a hand on the keys goes before any task. */
+/** Send an input. Tasks end teleop first, because teleop has priority over any task. */
 function send(message) {
   refuse("");
   if (MOVES.includes(message.do)) drive.release();
@@ -136,7 +136,7 @@ function follow(on) {
   changed();
 }
 
-// Buttons and forms that are inputs of the session as they stand.
+// Buttons and forms that send an input of the session unchanged.
 let armed = null;
 document.addEventListener("click", ({ target, detail }) => {
   const pressed = target.closest("button, summary");
@@ -147,11 +147,11 @@ document.addEventListener("click", ({ target, detail }) => {
   else if (key) drive.press(key);
   else if (sure && !again) arm(pressed);
   else if (name) send({ do: name });
-  // The keys are to drive after a click, not to press the button again.
+  // After a click, keys must drive and not press the button again.
   if (detail > 0 && pressed.tagName === "BUTTON" && !pressed.form) stage.focus({ preventScroll: true });
 });
 
-/** What cannot be undone is asked for twice, within three seconds. */
+/** Irreversible actions need a second click within three seconds. */
 function arm(pressed) {
   const before = pressed.textContent;
   const timer = setTimeout(() => armed.drop(), 3000);

@@ -1,4 +1,4 @@
-// The words on the page: what is going on, what to do first, lists and the event log.
+// The texts of the page: status, advice, lists and the event log.
 
 import { bagAdvice, bagged, showBag } from "./bag.js";
 import { scene } from "./scene.js";
@@ -15,7 +15,7 @@ export function put(element, name, value) {
 const text = (id, words) => put(byId(id), "textContent", words);
 const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 
-/** Whether there is a map, whole or growing; none is sent as one cell. */
+/** Whether there is a map, finished or growing; no map is sent as one cell. */
 const mapped = () => scene.grids.map?.w > 1;
 
 /** What to do first, or next. */
@@ -40,7 +40,7 @@ function options(select, names, empty) {
   if (names.includes(before)) select.value = before;
 }
 
-/** Words and states of the controls, after each frame. */
+/** Update the controls after each frame. */
 export function show(head, deskName) {
   text("clock", `${head.t.toFixed(1)} s`);
   text("factor", head.paused ? "paused" : `${head.factor.toFixed(head.factor < 10 ? 2 : 0)}×`);
@@ -74,7 +74,7 @@ export function show(head, deskName) {
   allow(head.driver);
 }
 
-/** Whether what makes the robot do something can be used. */
+/** Enable or disable everything that controls the robot. */
 export function allow(may) {
   put(byId("controls"), "disabled", !may);
   for (const tool of document.querySelectorAll("#tools [data-acts]")) put(tool, "disabled", !may);
@@ -82,7 +82,7 @@ export function allow(may) {
 
 const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
 
-/** What takes the session more than a second. */
+/** What has blocked the session for more than a second. */
 const busyWith = (what) => what === "tick" ? "Computing …" : `Busy: ${what?.replaceAll("_", " ")} …`;
 
 function placeOf({ map, localised, sure, lost, mapping }) {
@@ -126,7 +126,7 @@ export function log(events) {
   if (atEnd) lines.scrollTop = lines.scrollHeight;
 }
 
-/** What was refused, where one looks; empty takes it away. */
+/** Show a refusal on the map; an empty one clears it. */
 export function refuse(words) {
   put(byId("error"), "hidden", !words);
   text("error", words);

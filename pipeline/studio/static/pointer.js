@@ -1,8 +1,8 @@
-// Mouse and fingers on the map: one works with the tool or pans, two pinch, the wheel zooms.
+// Mouse and touch on the map: one finger uses the tool or pans, two pinch, the wheel zooms.
 
 import { pan, toWorld, view, zoom } from "./view.js";
 
-/** `desk` has the tool, `may` says whether it may be used now, `changed` asks for a redraw, `over` is told the place under the mouse. */
+/** `desk` has the tool, `may` says whether it may be used now, `changed` asks for a redraw, `over` receives the position of the mouse. */
 export function listen(canvas, desk, may, changed, over) {
   const down = new Map();
   let panning = false;

@@ -1,4 +1,4 @@
-// What there is to draw: the last hello, the last frame's words, and everything frames have brought.
+// What there is to draw: the last hello, the last frame's header, and all data received in frames.
 
 import { Grid } from "./grid.js";
 
@@ -10,12 +10,12 @@ dark.addEventListener("change", () => {
   for (const grid of Object.values(scene.grids)) grid.recolour(dark.matches);
 });
 
-/** A new connection: everything is told anew. */
+/** A new connection: everything is sent again. */
 export function begin(hello, blobs) {
   Object.assign(scene, { hello, head: hello, blobs, grids: {}, keepouts: [] });
 }
 
-/** A frame: its words replace the last ones, its blobs those of the same name. */
+/** A frame: its header replaces the last one, its blobs those of the same name. */
 export function take(header, blobs) {
   scene.head = header;
   for (const [name, told] of Object.entries(header.grids ?? {})) {

@@ -1,4 +1,4 @@
-// The socket: binary frames in, one JSON object a message out; reconnects by itself.
+// The socket: binary frames in, one JSON object per message out; reconnects automatically.
 
 const TYPES = { f4: Float32Array, i4: Int32Array, u1: Uint8Array };
 const TEXT = new TextDecoder();
@@ -46,13 +46,13 @@ export class Connection {
     socket.onopen = () => { this.wait = 500; this.tell(true, ""); };
     socket.onclose = () => queue.finally(() => {
       this.tell(false, reason);
-      // A server that says goodbye means it; anything else is a cable, a sleep or a restart.
+      // After a goodbye the server is gone; anything else is a lost connection, a sleep or a restart.
       if (!reason) setTimeout(() => this.open(), this.wait = Math.min(2 * (this.wait ?? 250), 4000));
     });
     this.socket = socket;
   }
 
-  /** Send one input; false when nobody listens. */
+  /** Send one input; false when not connected. */
   send(message) {
     if (this.socket.readyState !== WebSocket.OPEN) return false;
     this.socket.send(JSON.stringify(message));

@@ -1,4 +1,4 @@
-// Tools for the map: what a press, a drag, a release or typed numbers mean with each of them.
+// Map tools: the meaning of press, drag, release and typed numbers for each of them.
 
 import { loopAt, nodeAt, nodePose, scanOf } from "./bag.js";
 import { scene } from "./scene.js";
@@ -156,7 +156,7 @@ const TOOLS = {
   },
 };
 
-/** Pose b seen from pose a. */
+/** Pose b relative to pose a. */
 function seenFrom([ax, ay, at], [bx, by, bt]) {
   const c = Math.cos(at), s = Math.sin(at), [dx, dy] = [bx - ax, by - ay];
   return [c * dx + s * dy, c * dy - s * dx, Math.atan2(Math.sin(bt - at), Math.cos(bt - at))];
@@ -164,7 +164,7 @@ function seenFrom([ax, ay, at], [bx, by, bt]) {
 
 export const KEYS = { l: "loop", j: "join", v: "view", p: "pose", g: "goal", n: "waypoint", c: "point", k: "keepout", b: "box", r: "carry" };
 
-/** The tool in hand and what it is doing: `doing` is what draw.js sketches. */
+/** The current tool; `doing` is the preview that draw.js paints. */
 export class Desk {
   /** `helpers`: send, copy, size (of a box), waypoints, chosen (told the tool). */
   constructor(helpers) {
@@ -186,11 +186,11 @@ export class Desk {
     this.busy = false;
     this.tool.release(this, at, pixel);
     if (!this.doing.outline) this.doing = {};
-    // Pose, goal and carry are done once; the others go on.
+    // Pose, goal and carry are used once; the other tools stay active.
     if (["pose", "goal", "carry"].includes(this.name)) this.choose("view");
   }
 
-  /** A second finger, Escape or another tool: what was begun is dropped. */
+  /** Cancel the current action: a second finger, Escape or another tool. */
   drop() {
     const begun = this.busy || this.doing.outline?.length > 0;
     this.busy = false;
@@ -199,6 +199,6 @@ export class Desk {
     return begun;
   }
 
-  /** Numbers in place of a drag; false when they are not what the tool needs. */
+  /** Numbers instead of a drag; false if they do not suit the tool. */
   type(text) { return Boolean(this.tool.typed(this, text)); }
 }

@@ -1,4 +1,4 @@
-// Which part of the plane is seen: metres to pixels and back, zoom, pan, fit.
+// The visible part of the map: metres to pixels and back, zoom, pan, fit.
 
 export const view = { x: 0, y: 0, scale: 60, width: 1, height: 1, follow: false };
 
@@ -14,7 +14,7 @@ export const toWorld = (px, py) => [
 /** How large discs and arrows of poses are drawn: their arrow is 26 pixels times this long. */
 export const flagSize = () => Math.min(Math.max(view.scale / 50, 0.7), 1);
 
-/** Zoom about a place of the screen, which stays where it is. */
+/** Zoom about a fixed point of the screen. */
 export function zoom(factor, px = view.width / 2, py = view.height / 2) {
   const [x, y] = toWorld(px, py);
   view.scale = Math.min(Math.max(view.scale * factor, 1), 2000);

@@ -88,7 +88,7 @@ function field(read, name, take) {
   return made;
 }
 
-/** New rows for a list, or what to say in place of none; who works in it by keyboard stays there. */
+/** New rows for a list, or a text if there are none; keyboard focus is kept. */
 export function refill(list, rows, empty, down = 0) {
   const parts = () => [...list.querySelectorAll("input, button")];
   const at = parts().indexOf(document.activeElement), wide = parts().length / list.childElementCount;
@@ -103,7 +103,7 @@ export function refill(list, rows, empty, down = 0) {
   (next.find((part) => !part.disabled) ?? list.closest("details").querySelector("summary")).focus();
 }
 
-/** A small button with a spoken name. */
+/** A small button with an accessible name. */
 export function button(text, name, press, disabled = false) {
   const made = document.createElement("button");
   made.type = "button";
