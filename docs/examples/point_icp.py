@@ -1,4 +1,4 @@
-"""Point-to-point ICP (Besl and McKay 1992) as a front end: each scan on the points of the last key scans."""
+"""Point-to-point ICP (Besl and McKay 1992) as a front end: aligns each scan with the last key scans."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -7,13 +7,13 @@ from turtlebag.datasets.se2 import compose
 from turtlebag.pipeline.slam.front_end import Placed
 
 KEYS, CELL_M, SIGMA_M, LEAST = 8, 0.04, 0.02, 20
-"""Key scans matched with, a point a cell of their map, a point's error, and the fewest partners."""
+"""Number of key scans to match, cell size of their map (one point each), a point's error, fewest pairs."""
 GATES_M = np.geomspace(0.6, 0.1, 12)
-"""How far off a partner may be, round by round."""
+"""Largest distance of a pair, by round."""
 
 
 class PointIcp:
-    """Begins where the odometry expects the scan, and where a steady motion does: the better fit counts."""
+    """Starts from the odometry and from constant velocity; the better fit wins."""
 
     def __init__(self, tracker):
         self._tracker = tracker
@@ -39,7 +39,7 @@ class PointIcp:
         return Placed(pose, information, float(near.mean()), float(np.sqrt(np.mean(off[near] ** 2))))
 
     def _last_key_scans(self):
-        """Their points as a tree, and the normals there (n, 2), zero where there is no surface."""
+        """Their points as a k-d tree, and the normals there (n, 2), zero where there is no surface."""
         tracker, clouds, parts = self._tracker, self._tracker.clouds, []
         if self._keys != len(tracker.keys):
             self._keys = len(tracker.keys)
@@ -59,14 +59,14 @@ def _moved(pose, points):
 
 
 def _rigid(points, targets):
-    """The motion (3,) that brings points nearest to targets, in the frame of both."""
+    """The rigid motion (3,) that best fits points to targets, in their common frame."""
     a, b = points - points.mean(axis=0), targets - targets.mean(axis=0)
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     return np.array([*(targets.mean(axis=0) - _moved([0, 0, yaw], points.mean(axis=0))), yaw])
 
 
 def _along_normals(pose, points, normals):
-    """What the points saw (3, 3), in the frame of the base: where the surfaces are, across them."""
+    """Information (3, 3) of the points in the base frame: across the surfaces only."""
     across = _moved([0, 0, -pose[2]], normals)
     rows = np.column_stack([across, points[:, 0] * across[:, 1] - points[:, 1] * across[:, 0]])
     return rows.T @ rows / SIGMA_M**2

@@ -18,7 +18,7 @@ from turtlebag.sim.world import World
 
 
 class GaussNewton:
-    """Back end: Gauss-Newton with a dense matrix, constraints weighed anew in each round (Cauchy)."""
+    """Back end: Gauss-Newton with a dense matrix, constraints reweighted in each round (Cauchy)."""
 
     def optimise(self, T_map_keys, constraints, iterations=30):
         """As in `turtlebag.pipeline.slam.back_end.BackEnd`."""
@@ -43,14 +43,14 @@ class GaussNewton:
 
 
 def _jacobians(T_i, T_j):
-    """How the error of a constraint changes with small motions (3,) of poses i and j in their own frames."""
+    """Jacobians of a constraint's error by small motions (3,) of poses i and j in their own frames."""
     x, y, yaw = (SE2(T_j).inverse() @ SE2(T_i)).xyt
     c, s = np.cos(yaw), np.sin(yaw)
     return -np.array([[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]]), np.eye(3)
 
 
 class OverCells:
-    """Global planner: the shortest way over the cells for the disc round the footprint."""
+    """Global planner: the shortest grid path for the disc around the footprint."""
 
     def __init__(self, config):
         self._config = config
@@ -70,7 +70,7 @@ class OverCells:
 
 
 class Carrot(Ramped):
-    """Controller: turns towards a point a little ahead on the path, then drives to it."""
+    """Controller: turns towards a lookahead point on the path, then drives to it."""
 
     def __init__(self, model, period):
         super().__init__(model, period, max_v=0.2, max_w=1.0, acceleration_share=0.5)
@@ -96,7 +96,7 @@ class Carrot(Ramped):
 
 
 class Wander(Driver):
-    """Task: straight on for eight seconds, turning where something is near."""
+    """Task: drives straight for eight seconds, turning away from near obstacles."""
 
     def __init__(self, kit, mission):
         super().__init__(kit.sensing)
@@ -118,7 +118,7 @@ class Wander(Driver):
 
 
 class Hall:
-    """World: a hall with a row of pillars, as many as the options say."""
+    """World: a hall with a row of pillars; the options are their number."""
 
     def __init__(self, options):
         self._pillars = int(options or 2)

@@ -1,4 +1,4 @@
-"""A plain client of the studio: what the page does with the socket, without a page."""
+"""A minimal client of the studio: uses the socket as the page does."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def decoded(message: bytes) -> tuple[Header, dict[str, NDArray]]:
 
 
 class Picture:
-    """What a client has before its eyes: the last header, arrays by name, grids put together from tiles."""
+    """The client's state: the last header, arrays by name, grids assembled from tiles."""
 
     def __init__(self) -> None:
         self.hello: Header = {}
@@ -51,7 +51,7 @@ class Picture:
         self.bye: str | None = None
 
     def take(self, message: bytes) -> None:
-        """Bring it up to date by one message."""
+        """Update it with one message."""
         header, blobs = decoded(message)
         if header["kind"] == "bye":
             self.bye = header["reason"]
@@ -109,7 +109,7 @@ class Client:
         return True
 
     async def until(self, true: Callable[[Picture], object], timeout_s: float = 20.0) -> Picture:
-        """Read until something holds; TimeoutError when it does not come to that, EOFError when closed."""
+        """Read until a condition holds; TimeoutError if it never does, EOFError when closed."""
         end = time.monotonic() + timeout_s
         while not true(self.picture):
             if not await self.next(max(end - time.monotonic(), 0.0)):
@@ -117,7 +117,7 @@ class Client:
         return self.picture
 
     async def read_for(self, seconds: float) -> None:
-        """Take whatever comes in some time."""
+        """Receive for some time."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             try:
@@ -135,7 +135,7 @@ class Client:
         self._connection.write_message(message, binary=isinstance(message, bytes))
 
     async def asked(self, do: str, **fields: Any) -> None:
-        """Send one message and see it refused or taken: an AssertionError says why it was refused.
+        """Send one message and wait until it is accepted or refused: an AssertionError gives the reason.
 
         What is told of it comes with a frame that was made afterwards: the second one at the latest.
         """
@@ -151,5 +151,5 @@ class Client:
         return self._connection.close_code
 
     def close(self) -> None:
-        """Go."""
+        """Close the connection."""
         self._connection.close()
