@@ -67,7 +67,7 @@ def trim_cached(folder: Path, names: re.Pattern[str], limit_bytes: int, limit_fi
 
 
 def user_cache() -> Path | None:
-    """The user's folder for what can be made again; None where there is no home."""
+    """The user's cache folder; None without a home folder."""
     place = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return Path(place) / "turtlebag" if os.path.isabs(place) else None
 

@@ -57,7 +57,7 @@ def deskewed(beams: Array, fractions: Array, T_base_lidar: Array, motion: Array)
 
 @njit(cache=True)
 def deskewed_points(points: Array, fractions: Array, knots: Array) -> Array:
-    """Points (n, 3) in the base frame, each as of when it was taken, seen from the sweep's start.
+    """Points (n, 3), each in the base frame of its own time, transformed to the sweep's start.
 
     `fractions` (n,) say when in the sweep that was, 0 at its start and 1 at its end. `knots` (k, 6) are
     tangent vectors (rotation, translation) of the base's pose at k instants from start to end, evenly

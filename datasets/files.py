@@ -89,7 +89,7 @@ def _changed(path: Path) -> InputError:
 
 
 def opened_plain(path: Path) -> BinaryIO:
-    """A plain file for reading; InputError when it is none. Never waits, as opening a pipe would."""
+    """Open a plain file for reading; InputError for anything else. Never blocks, as a pipe would."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
@@ -159,7 +159,7 @@ class FileBytes:
 
 
 def read_whole(path: Path) -> bytes:
-    """Content of a plain file; InputError when it is none, is empty or changes meanwhile."""
+    """Content of a plain file; InputError if it is not plain, empty, or changes meanwhile."""
     file = FileBytes(path)
     content = file[:]
     file.require_unchanged()
@@ -167,7 +167,7 @@ def read_whole(path: Path) -> bytes:
 
 
 def read_unpacked(path: Path) -> tuple[bytes, str | None]:
-    """Content of a plain, gzip or bzip2 file and, when it is damaged or cut, one line that says so.
+    """Content of a plain, gzip or bzip2 file and, if it is damaged or truncated, a line that says so.
 
     What could be unpacked before the damage is returned; nothing at all is an InputError, and so is
     content beyond all measure.

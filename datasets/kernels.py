@@ -71,7 +71,7 @@ class KernelCache(_Cache):
         return str(next(folders()))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was kept for the argument types; None when nothing was."""
+        """The cached code for the argument types, or None."""
         target_context.refresh()
         for folder in folders() if self._on else ():
             kept = read_cached(folder / self._name(sig, target_context.codegen()))
@@ -108,11 +108,11 @@ class KernelCache(_Cache):
         self._on = False
 
     def flush(self) -> None:
-        """Nothing to do: what a new key asks for is never there."""
+        """Nothing to do: a new key never has cached code."""
 
 
 def folders(*, make: bool = False) -> Iterator[Path]:
-    """Where compiled code may lie; the first that can be written takes the new.
+    """Possible cache folders; the first writable one is used for writing.
 
     NUMBA_CACHE_DIR, where it is set; else beside Python's own bytecode of this package, in the user's
     cache folder, or for want of both below the temporary one, where `make` makes a folder of our own.
@@ -134,7 +134,7 @@ def folders(*, make: bool = False) -> Iterator[Path]:
 
 
 def content(value: object, names: frozenset[str], seen: set[int]) -> object:
-    """What `fingerprint` takes for a value that a kernel reads; TypeError when it cannot be told.
+    """The value that `fingerprint` hashes for a constant of a kernel; TypeError if there is none.
 
     Of a module the attributes called `names` count. A function that is no kernel can only be one that
     numba itself knows: its name says all, with numba's version.

@@ -12,7 +12,7 @@ from turtlebag.datasets.output_rules import identity
 
 
 def open_locked(folder: Path, out: Path) -> int | None:
-    """Descriptor of a folder with its lock; None when there is none any more.
+    """Descriptor of a locked folder; None if the folder is gone.
 
     InputError when another process has the lock, or what is there is no folder.
     """

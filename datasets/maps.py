@@ -66,7 +66,7 @@ def save_map(grid: OccupancyGrid, folder: Path, name: str = "map") -> Path:
 
 
 def load_map(path: Path) -> OccupancyGrid:
-    """Read a map yaml and its image as map_server would; InputError says what is wrong with them."""
+    """Read a map yaml and its image as map_server would; InputError if they are invalid."""
     meta = _read_yaml(path)
     image_path = _image_of(path, meta)
     if not image_path.is_file():

@@ -59,7 +59,7 @@ class OutputLock:
             raise
 
     def watch(self, inputs: Iterable[Path]) -> None:
-        """From now on these must not change, and the output must lie apart from them."""
+        """Inputs that must not change from now on, and that the output must not overlap."""
         for path in inputs:
             require_apart(self.out, self.place, path)
             if path not in self._inputs and os.path.exists(path):
@@ -119,7 +119,7 @@ class OutputLock:
             require_same(path, before)
 
     def release(self) -> None:
-        """Release the lock; a folder in which nothing grew goes with it."""
+        """Release the lock, and remove the folder if it is empty."""
         with suppress(OSError):
             if not self._kept and is_same(self._folder, self.partial):
                 left = [path.name for path in self.partial.iterdir()]
@@ -179,7 +179,7 @@ class OutputLock:
 
 @contextmanager
 def lock_output(out: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[OutputLock]:
-    """The lock of an output, that of the surrounding command where there is one already.
+    """The lock of an output, or the surrounding command's, if it has one.
 
     InputError at once when the output may not be written, or another process is writing it.
     """

@@ -48,7 +48,7 @@ def check_free(out: Path, *, force: bool, inputs: Iterable[Path] = (), kind: Kin
 
 
 def require_apart(out: Path, place: Path, path: Path) -> None:
-    """InputError when an input is the output, holds it or lies in it."""
+    """InputError if an input is the output, contains it or is inside it."""
     if not os.path.exists(path):
         return
     reads = identity(path)

@@ -89,7 +89,7 @@ def require(part: type, contract: type, name: str | None = None) -> None:
 
 
 def require_attributes(part: object, contract: type) -> None:
-    """InputError unless a part that was made has all that the contract asks for besides methods."""
+    """InputError unless a part has all attributes of its contract."""
     named = [key for key, value in vars(contract).items() if isinstance(value, property)]
     for key in [*named, *inspect.get_annotations(contract)]:
         if inspect.getattr_static(part, key, _found) is _found:
@@ -123,7 +123,7 @@ def source_files(names: Mapping[str, str | None]) -> dict[str, Path]:
 
 
 def told_of(error: BaseException) -> str | None:
-    """An error that came up in a part of the user's own, in one line that says where; None for any other."""
+    """An exception from a user's part in one line, with its place in the code; None for any other."""
     files = {source.file for source in _found.values()}
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if Path(frame.filename) in files:
@@ -132,7 +132,7 @@ def told_of(error: BaseException) -> str | None:
 
 
 class Answer(NamedTuple):
-    """What a method of a part gave back, for the one who must be told that it is wrong."""
+    """Checks of a value that a part's method returned."""
 
     part: object
     method: str
@@ -157,7 +157,7 @@ class Answer(NamedTuple):
             raise self.wrong(f"{what} is not finite")
 
     def wrong(self, text: str) -> InputError:
-        """The error that says what is wrong with it."""
+        """The error for a wrong value."""
         return InputError(f"{_label(type(self.part))}: {self.method}: {text}")
 
 

@@ -29,7 +29,7 @@ def write_ply(path: Path, points: Array, colours: Array) -> None:
 
 
 def read_ply(path: Path) -> Array:
-    """Points (n, 3) of the file's vertices; InputError when it is no such file."""
+    """Points (n, 3) of the file's vertices; InputError for any other file."""
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -42,7 +42,7 @@ class RemoteFile:
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """A public log with what one must know to use and to cite it.
+    """A public log, with everything needed to use and cite it.
 
     `laser_x_m` is how far the laser sits ahead of the robot's centre, `no_return_m` the reading that
     means "no return".

@@ -14,7 +14,7 @@ from turtlebag.datasets.types import Stamps
 
 @dataclass(frozen=True, eq=False)
 class Relations:
-    """True poses `T_a_b` (n,) of the robot at stamp b as seen from the robot at stamp a."""
+    """True relative poses `T_a_b` (n,) of the robot at stamps a and b."""
 
     stamps_a_ns: Stamps
     stamps_b_ns: Stamps

@@ -19,7 +19,7 @@ _VARIED = 50
 
 
 def no_return_value(readings: NDArray[np.floating]) -> float:
-    """Least range at which beams pile up as no wall makes them [m]; +inf when there is none.
+    """Smallest range [m] that a driver sends for "no return"; +inf if there is none.
 
     `readings` (n_scans, n_beams). Such a value, exactly equal each time, stands at the far end of the
     readings and is far more frequent than any other of at least half its range.

@@ -70,7 +70,7 @@ class RivalFiles:
 
     @property
     def paths(self) -> dict[str, Path | None]:
-        """Its files by what they are."""
+        """Its files by kind."""
         return {what: getattr(self, what) for what in PATHS}
 
     @property
@@ -79,14 +79,14 @@ class RivalFiles:
         return any(self.base)
 
     def inputs(self) -> dict[str, Path]:
-        """Every file that is read, by what it is."""
+        """All files that are read, by kind."""
         files = {what: path for what, path in self.paths.items() if path is not None and what != "map"}
         return files | (map_files(self.map) if self.map is not None else {})
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Poses of the base and a map, by one system in its own frame; `notes` say what was done to read them."""
+    """Base poses and map of one system, in its own frame; `notes` list the corrections made while reading."""
 
     name: str
     track: Trajectory3D | None
@@ -95,7 +95,7 @@ class System:
 
 
 def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
-    """Read a rival's files; `scans_ns` are the stamps of the recording's scans. InputError: what is wrong."""
+    """Read another system's files; `scans_ns` are the stamps of the scans. InputError if they are invalid."""
     grid = None if files.map is None else load_map(files.map)
     if files.trajectory is None:
         return System(files.name, None, grid)
@@ -138,7 +138,7 @@ def gaps(stamps_ns: Stamps) -> list[tuple[int, int]]:
 
 
 def covered(wanted_ns: Stamps, stamps_ns: Stamps) -> NDArray[np.bool_]:
-    """Which stamps lie in the time that others (increasing) cover, without their gaps."""
+    """Which stamps are within the time span of others (increasing), except in their gaps."""
     inside = (wanted_ns >= stamps_ns[0]) & (wanted_ns <= stamps_ns[-1])
     for begin, end in gaps(stamps_ns):
         inside &= (wanted_ns <= begin) | (wanted_ns >= end)

@@ -97,7 +97,7 @@ class NumberLines:
         return found
 
     def wrong(self, index: int, what: str) -> InputError:
-        """The error that says what is wrong with a line."""
+        """The error for an invalid line."""
         return InputError(f"{self.path}, line {self.lines[index][0]}: {what}")
 
     def numbers(self, count: int, expected: str, *, at_least: bool = False) -> Array:

@@ -49,7 +49,7 @@ class Trajectory3D:
 
 
 def read_trajectory_3d(path: Path, times: Path | None, scans_ns: Stamps) -> Trajectory3D:
-    """Read a TUM, KITTI or EuRoC file; which one, its first line tells. InputError for anything else.
+    """Read a TUM, KITTI or EuRoC file, detected by its first line. InputError for anything else.
 
     KITTI has no stamps: they are in `times` (seconds, one a line), or there is one pose for each of the
     recording's scans, `scans_ns`.

@@ -8,7 +8,7 @@ from turtlebag.datasets.errors import InputError
 
 
 def filesystem(url: str) -> tuple[Any, str]:
-    """The file system that a URL names, and the path in it; InputError when there is none to reach it by.
+    """The file system and path of a URL; InputError if a package is missing to reach it.
 
     Nothing is remembered of what a folder holds: others write there too.
     """
@@ -30,6 +30,6 @@ def is_local(files: Any) -> bool:
 
 
 def reason_of(error: Exception) -> str:
-    """Why a file system did not do what was asked, in one line."""
+    """A file system's error in one line."""
     said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(said.split()) or type(error).__name__

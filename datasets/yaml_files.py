@@ -24,7 +24,7 @@ KINDS = {
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """A YAML file that holds a mapping; InputError says what else it is."""
+    """Read a YAML file with a mapping; InputError for anything else."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
@@ -58,7 +58,7 @@ def parsed(text: str, *, where: str) -> Any:
 
 
 def plain_values(text: str) -> Any:
-    """What YAML text holds; yaml.YAMLError, RecursionError or ValueError when that cannot be told."""
+    """Parse YAML; yaml.YAMLError, RecursionError or ValueError if that fails."""
     depth = 0
     for event in yaml.parse(text, Loader=LOADER):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)

@@ -119,7 +119,7 @@ class _Clouds:
 
 
 def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
-    """The 3D scans of a bag with the odometry at each; InputError when there is none.
+    """The 3D scans of a bag with the odometry at each; InputError without 3D scans.
 
     `topic` is needed only where the bag has several point cloud topics. Truth is never read.
     """

@@ -35,7 +35,7 @@ class FrameTree:
         self._first: dict[tuple[str, str], RawTransform] = {}
 
     def add(self, transform: RawTransform, *, static: bool) -> None:
-        """Take note of one transform of /tf or /tf_static; what is no place on Earth is left out."""
+        """Add one transform of /tf or /tf_static; implausibly distant ones are left out."""
         link = transform.parent, transform.child
         if not np.isfinite((*transform.xyz, *transform.quaternion)).all():
             return

@@ -62,7 +62,7 @@ class Introduced:
     channels: dict[int, Topic] = field(default_factory=dict)
 
     def add(self, opcode: int, body: bytes) -> None:
-        """Take note of a schema or else a channel; Damage when it is none."""
+        """Add a schema or channel record; Damage if it is neither."""
         if opcode == Opcode.SCHEMA:
             number, schema = parsed(_schema, body)
             self.schemas[number] = schema
@@ -83,7 +83,7 @@ def _schema(stream: ReadDataStream) -> tuple[int, tuple[str, str, str]]:
 
 @dataclass(slots=True)
 class Index:
-    """The end of an MCAP file: what it introduces, the same records as bytes, and where everything lies."""
+    """The index at the end of an MCAP file: schemas and channels, their records as bytes, and all offsets."""
 
     introduced: Introduced = field(default_factory=Introduced)
     records: list[bytes] = field(default_factory=list)

@@ -23,7 +23,7 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 
 @dataclass(slots=True)
 class McapState(State):
-    """What is known of a file after reading it."""
+    """The state of a file after reading it."""
 
     introduced: Introduced = field(default_factory=Introduced)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -76,7 +76,7 @@ class McapScan(Scan):
             )
 
     def leading_metadata(self, name: str) -> dict[str, str]:
-        """A metadata record that precedes the messages; empty when there is none."""
+        """The metadata record before the messages; empty without one."""
         at = len(MAGIC)
         with suppress(Damage):
             while at < len(self._data):

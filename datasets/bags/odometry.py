@@ -61,7 +61,7 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
 
 
 def base_of(frames: FrameTree) -> str:
-    """Name of the robot's base frame, where no odometry tells it."""
+    """Name of the robot's base frame, if there is no odometry."""
     known = frames.frames()
     return next((frame for frame in BASES if frame in known), BASES[0])
 

@@ -98,7 +98,7 @@ def read_commands(path: Path) -> tuple[Stamps, Array, Array]:
 
 
 def read_particles(path: Path, topic: str = "/particlecloud") -> list[tuple[int, SE2]]:
-    """(stamp [ns], poses (n,)) of each PoseArray or Path message; empty when there is none."""
+    """(stamp [ns], poses (n,)) of each PoseArray or Path message; may be empty."""
     return [(stamp, SE2.from_array(rows)) for _, (stamp, rows) in _decoded(path, topic, _ARRAYS)]
 
 

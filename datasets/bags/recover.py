@@ -13,7 +13,7 @@ from turtlebag.datasets.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """Messages saved, the log times of the first and last [ns], and what was wrong with the source."""
+    """Number of recovered messages, log times of first and last [ns], and the defects of the source."""
 
     messages: int
     start_ns: int

@@ -20,7 +20,7 @@ from turtlebag.datasets.urls import filesystem, is_local, reason_of
 
 
 def brought(url: str, folder: Path, topics: Collection[str] = ()) -> Path:
-    """The bag or log at `url` on this machine: where it is, if it is here, else brought into `folder`.
+    """Local path of the bag or log at `url`, downloaded to `folder` if it is remote.
 
     Of an mcap come the topics that mapping reads: point clouds only where there is no LaserScan, or their
     topic is one of `topics`. A folder comes with its metadata and its storage files. InputError when there

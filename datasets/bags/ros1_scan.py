@@ -24,7 +24,7 @@ _LONGEST_HEADER = 1 << 24
 
 @dataclass(slots=True)
 class Ros1State(State):
-    """What is known of a file after reading it."""
+    """The state of a file after reading it."""
 
     connections: dict[int, Topic] = field(default_factory=dict)
     indexed: bool = False

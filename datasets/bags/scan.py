@@ -22,12 +22,12 @@ from turtlebag.datasets.files import FileBytes, Unpacked
 
 
 class Damage(Exception):
-    """A record that cannot be what was written."""
+    """A record that is not as it was written."""
 
 
 @dataclass(slots=True)
 class State:
-    """What was wrong with a file, after reading it, and whether reading stopped there."""
+    """The damage found in a file, and whether reading stopped there."""
 
     problems: list[str] = field(default_factory=list)
     stopped: bool = False

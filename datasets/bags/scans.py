@@ -52,7 +52,7 @@ class Geometry(NamedTuple):
 
 
 def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarSpec]:
-    """(n_scans, n_beams) REP-117 ranges and the geometry of the beams; ValueError when there is none.
+    """(n_scans, n_beams) REP-117 ranges and the beam geometry; ValueError without one.
 
     The angles are those of `on_one_grid`, the readings in metres and normalised.
     """

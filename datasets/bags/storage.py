@@ -57,7 +57,7 @@ def _sqlite3_messages(
 
 
 def one_line(error: Exception) -> str:
-    """What an error says, for a note."""
+    """An error's message in one line, for a note."""
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 

@@ -22,7 +22,7 @@ Raw = list[tuple[int, bytes]]
 
 
 class Streams:
-    """Scans decoded, the rest kept as bytes until it is known what is needed.
+    """Decoded scans; all else is kept as bytes until needed.
 
     Point clouds are large: where a function to `note_cloud` is given, each is handed to it (topic, log
     time, bytes) and not kept.

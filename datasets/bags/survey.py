@@ -22,7 +22,7 @@ _SOME = 200
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One defect: how grave, which check, what was seen and what it would break."""
+    """One defect: severity, check, observation and consequence."""
 
     severity: Literal["error", "warning"]
     check: str
@@ -75,7 +75,7 @@ class Survey:
         return [topic for topic in self.topics.values() if topic.topic.msgtype in msgtypes]
 
     def base(self) -> str:
-        """The robot's base frame, as far as the bag tells it."""
+        """The robot's base frame, if the bag contains it."""
         odometry = [topic for topic in self.of_type(ODOMETRY) if topic.topic.name == "/odom"]
         child = odometry[0].children.most_common(1)[0][0] if odometry and odometry[0].children else ""
         known = self.frames.frames()

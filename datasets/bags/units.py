@@ -11,7 +11,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps
 
 FAR_M = 1e8
-"""No place on Earth is as far from another; coordinates of a country's grid are less."""
+"""Larger than any distance on Earth; coordinates of national grids are smaller."""
 ARM_M = 30.0
 """No sensor sits as far from its robot's centre: 30 mm do."""
 CLOCK_NS = 1_000_000_000
@@ -39,7 +39,7 @@ def stands_still(stamps: ArrayLike) -> bool:
 
 
 def far_away(xyz: ArrayLike) -> bool:
-    """Whether a place [m] is none on Earth, or not finite."""
+    """Whether a position [m] is implausibly far away, or not finite."""
     return not bool((np.abs(np.asarray(xyz, dtype=np.float64)) < FAR_M).all())
 
 

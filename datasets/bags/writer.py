@@ -75,7 +75,7 @@ class BagWriter(BagFolder):
         self._write("/cmd_vel", stamp_ns, bytes(self._twist.data))
 
     def owner(self, stamp_ns: int, owner: str) -> None:
-        """/cmd_vel_owner: who gives the commands from here on."""
+        """/cmd_vel_owner: the source of the commands from now on."""
         self._write("/cmd_vel_owner", stamp_ns, bytes(cdr.Template().string(owner).data))
 
     def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:

@@ -94,7 +94,7 @@ PER_POINT = ("points", "normals", "centers", "line_ok", "point_var", "normal_var
 
 
 def point_information(points: Array) -> Array:
-    """What matched points (n, 2) tell of the pose they are seen from, (3, 3), for errors of 1 m each."""
+    """Information (3, 3) about the pose from matched points (n, 2), for errors of 1 m each."""
     n, (x, y) = len(points), points.sum(axis=0)
     return np.array([[n, 0.0, -y], [0.0, n, x], [-y, x, float((points**2).sum())]])
 

@@ -32,7 +32,7 @@ class RejectedLoop(BaseModel):
 
 
 class AddedLoop(RejectedLoop):
-    """Scans that did; `pose` is roughly where `scan` was taken, seen from `place` [m, rad]."""
+    """Two scans of the same place; `pose` is roughly that of `scan` relative to `place` [m, rad]."""
 
     pose: tuple[Finite, Finite, Finite]
 
@@ -97,5 +97,5 @@ NO_EDITS = KeyEdits(np.zeros((0, 2), dtype=np.int64), ())
 
 
 def load_edits(path: Path) -> Edits:
-    """An edits file; InputError names what is wrong."""
+    """Read an edits file; InputError if it is invalid."""
     return load_model(Edits, path)

@@ -13,7 +13,7 @@ Kind = Literal["step", "odometry", "steady", "loop", "pair"]
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
-    """`T_i_j`, the pose of key j seen from key i, with its information in the frame of j.
+    """`T_i_j`, the pose of key j relative to key i, with its information in the frame of j.
 
     In the plane (3,) and (3, 3); in space (4, 4) and (6, 6), rotation first. `cauchy` is the width of the
     Cauchy kernel in standard deviations, 0 for none.

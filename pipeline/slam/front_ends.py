@@ -16,6 +16,6 @@ FrontEndName = Annotated[str, part_of(*FRONT_ENDS)]
 
 
 def front_end_maker(name: str) -> Maker:
-    """What makes the front end of that name; InputError where it is the user's own and not to be had."""
+    """The front end class of that name; InputError if it is a user's and cannot be loaded."""
     maker: Maker = chosen(name, FRONT_ENDS, FrontEnd)
     return maker

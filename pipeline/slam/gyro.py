@@ -64,7 +64,7 @@ def with_gyro(recording: Recording) -> Recording:
 
 
 def turns_with(recording: Recording) -> bool:
-    """Whether a gyro, as the recording says it is mounted, turns with the odometry."""
+    """Whether a gyro, with its recorded mounting, turns with the odometry."""
     if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
         return False
     trusted = _trusted(_Gyro(recording.imu), recording.T_odom_base.steps(), recording.stamps_ns)

@@ -19,7 +19,7 @@ class LineMatch:
     def match(
         self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
     ) -> Alignment:
-        """As in `LoopMatch`; of the query the scan `about` alone, where it has surfaces."""
+        """As in `LoopMatch`; of the query only the scan `about` is used, if it has surfaces."""
         if clouds.placed_by(query.about) == "points":
             return self._points.match(clouds, query, place, start, limits)
         return align(clouds, query.about, start, place.scans, place.T_about_scans, limits)

@@ -63,19 +63,19 @@ class LoopConfig(BaseModel):
     )
 
     def matcher(self) -> LoopMatch:
-        """A new matcher; InputError where it is the user's own and not to be had."""
+        """A new matcher; InputError if it is a user's class that cannot be loaded."""
         made: LoopMatch = chosen(self.match, MATCHERS, LoopMatch)()
         return made
 
     def constraint(self, place: Loop | Recognised) -> Constraint:
-        """What a place come back to says in the graph."""
+        """The constraint of a revisited place in the graph."""
         information = place.information / self.inflation
         return Constraint(place.j, place.i, place.T_j_i, information, "loop", CAUCHY)
 
 
 @dataclass(frozen=True, eq=False)
 class LoopClosing:
-    """How loops are closed: by which settings, what a person said of them, and what solves the graph."""
+    """The configuration of loop closure: settings, the user's edits, and the back end."""
 
     config: LoopConfig
     edits: KeyEdits = NO_EDITS
@@ -194,7 +194,7 @@ class LoopSearch(ABC):
         return max(tried, key=lambda loop: (loop.accepted, loop.score), default=None)
 
     def candidates(self, i: int) -> list[tuple[int, float, float]]:
-        """PLACES older keys near key i, the nearest first, with how far off [m], [rad] each may lie."""
+        """PLACES older keys near key i, nearest first, with their search radius [m] and angle [rad]."""
         config = self.config
         returned = self.path[i] - self.path[:i] > config.min_path_m
         old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))

@@ -44,7 +44,7 @@ def facing(recording: Recording) -> Recording:
 
 
 def turned_by_deg(recording: Recording) -> float:
-    """How far the laser is turned from where it is said to face [deg]; 0 also where nothing tells."""
+    """Error of the laser's declared yaw [deg]; 0 also if unknown."""
     if recording.T_odom_base is None or len(recording) <= SCANS:
         return 0.0
     noise = range_noise(recording, USABLE_M)

@@ -25,7 +25,7 @@ SEVERAL = 3
 
 
 def agree(recording: Recording, track: Track, before: int, after: int, T_map_base: SE2) -> bool:
-    """Whether the odometry says of the motion between two scans what their poses (n,) say."""
+    """Whether the odometry agrees with the motion between two scans by their poses (n,)."""
     if recording.T_odom_base is None:
         return False
     T_odom = recording.T_odom_base
@@ -69,7 +69,7 @@ def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] 
 
 
 class OdometryTrust:
-    """Whether the odometry is believed where the scans are blind.
+    """Whether the odometry is trusted where the scans are blind.
 
     Not once it was caught lying several times, until it says the same as the scans again, or, where these are
     blind, the same as a steady motion.
@@ -80,12 +80,12 @@ class OdometryTrust:
         self.forget()
 
     def forget(self) -> None:
-        """Nothing is known of them any more."""
+        """Forget these scans."""
         self._held, self._lies = 0, 0
 
     @property
     def believed(self) -> bool:
-        """Whether its next step is believed."""
+        """Whether its next step is trusted."""
         return self._lies < SEVERAL
 
     def judge(self, odometry_step: Array, T_map_base: Array, seen: Array) -> None:
@@ -188,7 +188,7 @@ def _caught(
 def disbelieved(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Whether the odometry was not to be believed at scans (n,), before or after, or there is none.
+    """At which scans (n,) the odometry is untrusted, before or after, or missing.
 
     `borders` are the first scans of later logs.
     """
@@ -228,7 +228,7 @@ def _unlikely(recording: Recording, track: Track, unseen: NDArray[np.bool_]) -> 
 
 
 def unseen_way(recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]) -> Array:
-    """Metres of each step (n,) that nobody saw, by track or odometry, whichever says more; 0 elsewhere.
+    """Unobserved metres of each step (n,), by track or odometry, whichever is longer; 0 elsewhere.
 
     Where scans are blind the odometry saw it, unless it is not believed there, or says what is unlikely.
     """

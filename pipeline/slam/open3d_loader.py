@@ -25,7 +25,7 @@ from turtlebag.datasets.errors import InputError
 
 @cache
 def open3d() -> ModuleType:
-    """The imported `open3d` module, which works on one thread; InputError says what is missing."""
+    """The `open3d` module, limited to one thread; InputError if it cannot be imported."""
     import libusb_package
 
     library = libusb_package.get_library_path()

@@ -76,7 +76,7 @@ optimise = GTSAM.optimise
 
 
 def relative(T_a: Poses, T_b: Poses) -> Poses:
-    """Poses b as seen from poses a."""
+    """Poses b relative to poses a."""
     return T_a.inverse() @ T_b if isinstance(T_a, SE2) else se3.inverse(T_a) @ T_b
 
 
@@ -86,7 +86,7 @@ def vectors(T: SE2 | Array) -> Array:
 
 
 def residuals(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
-    """What is left of each constraint at the given poses, as `vectors` (n, 3) or (n, 6)."""
+    """Residual of each constraint at the given poses, as `vectors` (n, 3) or (n, 6)."""
     i, j = np.array([c.i for c in constraints], int), np.array([c.j for c in constraints], int)
     measured = np.array([c.T_i_j for c in constraints])
     if isinstance(T_map_keys, SE2):

@@ -60,7 +60,7 @@ class RangeCalibration:
         return np.asarray(self.offset_m + self.square_per_m * ranges**2)
 
     def as_metrics(self) -> dict[str, Any]:
-        """`range_error_m`, at 1 and 3 m, where there is any."""
+        """`range_error_m`, at 1 and 3 m, if there is any."""
         near, far = (float(off) for off in self.error(np.array([1.0, 3.0])))
         return {"range_error_m": {"at_1_m": near, "at_3_m": far}} if self != RangeCalibration() else {}
 

@@ -13,16 +13,16 @@ class Verdict(ABC):
 
     @property
     def good(self) -> bool:
-        """Nothing was found wrong."""
+        """Whether there is no reason for doubt."""
         return not self.reasons
 
     @property
     @abstractmethod
     def numbers(self) -> dict[str, Any]:
-        """What was measured, by its name in metrics.json."""
+        """The measurements, by their names in metrics.json."""
 
     def as_metrics(self) -> dict[str, Any]:
-        """What metrics.json says of it."""
+        """The self-check's entry in metrics.json."""
         return {
             "verdict": "good" if self.good else "doubtful",
             "reasons": list(self.reasons),

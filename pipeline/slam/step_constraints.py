@@ -14,7 +14,7 @@ from turtlebag.pipeline.slam.track import Track, TrackingConfig
 def step_constraints(
     track: Track, config: TrackingConfig, disbelieved: NDArray[np.bool_] | None = None
 ) -> list[Constraint]:
-    """Between successive key scans: what the scans saw, and what the calibrated odometry says.
+    """Constraints between successive key scans, from the scans and from the calibrated odometry.
 
     In a direction the scans are blind in only the odometry holds; where both see, the scans do. Without
     odometry, or where it was not to be believed on the way (`disbelieved`, (n,)), a weak belief in the front

@@ -71,7 +71,7 @@ def blind(information: Array) -> NDArray[np.bool_]:
 
 
 def confirms(odometry: Array, motion: Array) -> bool:
-    """Whether odometry says of a motion (3,) what the scans say."""
+    """Whether odometry and scans agree on a motion (3,)."""
     apart = between(odometry, motion)
     distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
     return bool(

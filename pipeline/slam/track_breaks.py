@@ -45,7 +45,7 @@ class TrackBreaks:
         return np.concatenate([[0], np.cumsum(self.broken)])
 
     def first(self, steps: int) -> TrackBreaks:
-        """So many of its steps."""
+        """Its first `steps` steps."""
         return replace(
             self,
             broken=self.broken[:steps],
@@ -54,7 +54,7 @@ class TrackBreaks:
         )
 
     def bridged(self, unbridged: NDArray[np.bool_]) -> TrackBreaks:
-        """Only the breaks that nothing bridges, `unbridged` (keys - 1,)."""
+        """Only the unbridged breaks, `unbridged` (keys - 1,)."""
         broken = self.broken & unbridged
         return TrackBreaks(broken, self.contradicted & broken, self.alone & broken, self.gaps)
 

@@ -143,7 +143,7 @@ class Tracker:
 
     @property
     def placed(self) -> Placed:
-        """What the front end said of the last scan."""
+        """The front end's result for the last scan."""
         return self._placed[-1]
 
     def calibrate(self) -> None:

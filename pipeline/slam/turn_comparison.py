@@ -93,13 +93,13 @@ def _shifted(recording: Recording, late_s: float) -> Recording:
 
 
 def delay_metrics(recording: Recording | Recording3D) -> dict[str, float]:
-    """`odometry_late_s` [s] of a recording whose odometry was undone, else nothing."""
+    """`odometry_late_s` [s] of a recording with corrected odometry, else empty."""
     late_s = recording.odometry_late_s if isinstance(recording, Recording) else 0.0
     return {"odometry_late_s": late_s} if late_s else {}
 
 
 def compared_turns(recording: Recording) -> Timing:
-    """What the turns of scans and odometry show; nothing where there is no odometry."""
+    """The comparison of the turns of scans and odometry; empty without odometry."""
     if recording.T_odom_base is None or len(recording) < 2:
         return Timing()
     stream = _stream(recording)
@@ -273,6 +273,6 @@ def tracked_alone(
 
 
 def usual_period(recording: Recording) -> float:
-    """Median time from scan to scan [s]; PERIOD_S where the clock stands still."""
+    """Median time between scans [s]; PERIOD_S if the clock stands still."""
     waits = np.diff(recording.stamps_ns) * 1e-9
     return float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S

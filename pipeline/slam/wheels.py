@@ -10,13 +10,13 @@ from turtlebag.pipeline.slam.tracker import Tracker
 
 
 class Wheels:
-    """Every scan where the calibrated odometry says. Needs odometry."""
+    """Places every scan by the calibrated odometry, which it needs."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
-        """As in `FrontEnd`; the scan saw nothing."""
+        """As in `FrontEnd`; without information from the scan."""
         del wait_s
         assert odometry_step is not None
         pose = compose(self._tracker.pose, odometry_step)

@@ -29,7 +29,7 @@ class Keys:
         return len(self.clouds)
 
     def points(self, key: int, most: int) -> Array:
-        """About so many points (n, 3) of a key."""
+        """At most about `most` points (n, 3) of a key."""
         return thinned(self.clouds[key], most).astype(np.float64)
 
 

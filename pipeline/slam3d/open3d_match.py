@@ -22,7 +22,7 @@ class Featured(NamedTuple):
 
 
 def featured(points: Array, voxel: float) -> Featured:
-    """Points (n, 3) with what they look like."""
+    """Points (n, 3) with their FPFH features."""
     o3d = open3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(THINNED * voxel)
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(NORMALS * voxel, 30))

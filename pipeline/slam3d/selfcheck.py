@@ -26,7 +26,7 @@ APART_VOXELS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class SelfCheck3d(Verdict):
-    """Numbers of the check - places seen twice, clouds - and what is wrong in words."""
+    """Measurements of the check - revisits, clouds - and the reasons for doubt."""
 
     revisits: int
     disagreeing: float

@@ -134,7 +134,7 @@ def _with_sensors(recording: Recording3D, config: Slam3dConfig) -> tuple[Recordi
 
 
 def step_constraints(track: Track3d) -> list[Constraint]:
-    """Between successive keys: what the clouds saw, and what the odometry says.
+    """Constraints between successive keys, from the clouds and from the odometry.
 
     In a direction the clouds are blind in only the odometry holds; where both see, the clouds do.
     """
