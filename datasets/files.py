@@ -17,7 +17,7 @@ import zstandard
 from turtlebag.datasets.errors import InputError
 
 HARMLESS_BYTES = 64 << 20
-"""Whatever unpacks to no more than this is unpacked."""
+"""Files up to this unpacked size are always unpacked."""
 GREATEST_RATIO = 100
 """What is larger may be this many times its packed size ..."""
 GREATEST_BYTES = 2 << 30

@@ -15,8 +15,8 @@ NEAR_M = 0.5
 STILL_M = 0.03
 """Nine tenths of a beam's readings lie within so much where it sees the robot."""
 CHANGED_M, CHANGED_SHARE = 0.1, 0.25
-"""A scan is another view where so many of its beams have changed by so much since the last one, or return no
-more, or again."""
+"""A scan is a new view if this share of its beams has changed by this much since the last one, or
+started or stopped returning."""
 SEEN_SHARE = 0.9
 """Of the views, in which such a beam returns."""
 TURNS_RAD_S = 0.1

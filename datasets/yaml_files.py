@@ -20,7 +20,7 @@ KINDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "expected keys and values"),
     "missing": "is missing",
 }
-"""In words that name no class of Python, what pydantic says of a value of the wrong make."""
+"""Messages for values of the wrong type, without names of Python classes."""
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

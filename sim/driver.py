@@ -28,7 +28,7 @@ LOOK_AHEAD_M, ARRIVED_M, RESAMPLED_M = 0.2, 0.05, 0.02
 WEAVE_STEPS = 90
 """Control steps of one swing to and fro."""
 PATIENCE_STEPS = 300
-"""Without getting nearer to its aim for so long, an action gives up."""
+"""Time without progress after which an action gives up."""
 
 
 class Stuck(Exception):

@@ -10,7 +10,7 @@ from turtlebag.sim.robots import LidarErrors
 from turtlebag.sim.shapes import Sections
 
 LIMIT = 3.0
-"""Draws of a unit and of its turns end at so many standard deviations, as the data sheet's tolerances do."""
+"""Errors per unit and per turn are clipped at this many standard deviations, the data sheet's tolerance."""
 
 
 class LidarUnit:

@@ -25,7 +25,7 @@ _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAPPED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
-"""Types that mapping reads, besides point clouds."""
+"""Types that mapping reads, apart from point clouds."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,13 @@ from turtlebag.planners.control.monitor import depth_inside, padded
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
 BINS, DILATION_BINS = 360, 2
-"""Bearings of a profile; a beam stands for so many to both sides."""
+"""Bearings of a profile; a beam covers this many on each side."""
 SHIFT_M = 0.06
 """A sweep that saw so much farther saw through the place."""
 NEAR_M = 1.5
-"""Points farther from the lidar are not looked at: what moves there stops nobody yet."""
+"""Points farther from the lidar are ignored: they are no reason to stop yet."""
 COMPANY, COMPANY_M = 3, 0.2
-"""A moving point has so many others near it: one alone is noise."""
+"""A moving point needs this many others nearby: a single one is noise."""
 STOP_M = 0.35
 """Something that moves within so much of the footprint stops the robot, wherever it is going: at
 0.3 m/s it comes 0.2 m nearer before it is seen next and the robot has braked."""

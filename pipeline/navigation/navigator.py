@@ -20,7 +20,7 @@ from turtlebag.planners.global_plan import fits
 from turtlebag.planners.tasks.sequence import GoalSequence
 
 PATIENCE_S = 30.0
-"""Without a scan for so long the goals are given up."""
+"""Time without a scan after which the goals are given up."""
 LOST = "the robot no longer knows where it is"
 ALIKE = "two places on the map look alike, and no reachable view distinguishes them"
 

@@ -14,7 +14,7 @@ from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 
 LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
-"""The point steered for is so far ahead by speed, within these bounds."""
+"""Lookahead time, and bounds of the lookahead distance."""
 TURN_FIRST_RAD = 0.75
 """A bearing to the path beyond this is turned away on the spot, until it is TURNED_RAD."""
 TURNED_RAD = 0.1

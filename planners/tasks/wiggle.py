@@ -9,7 +9,7 @@ from turtlebag.datasets.types import Twist
 ANGLE, W = 1.2, 0.7
 """It turns this far [rad] to the left, twice as far to the right, and so on, at this speed [rad/s]."""
 LEAST_S, MOST_S = 3.0, 25.0
-"""It goes on at least so long, and stops after so long, whatever the cloud does."""
+"""Minimum and maximum duration, whatever the cloud does."""
 
 
 class Wiggle:

@@ -195,7 +195,7 @@ def test_stamps_that_go_back_keep_file_order_and_the_map(short):
 
 def test_a_log_without_points_is_one_clear_line(drive):
     empty = changed(drive, lambda k, cloud: Cloud(cloud.points[:3], cloud.times[:3]))
-    with pytest.raises(InputError, match="no cloud holds enough points"):
+    with pytest.raises(InputError, match="no cloud has enough points"):
         run_slam_3d(empty.recording, FEW)
 
 
