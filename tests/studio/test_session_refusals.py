@@ -89,7 +89,7 @@ def test_a_goal_in_a_wall_and_what_lies_off_the_map(with_map):
     assert "in an obstacle" in refused(with_map, "goal", pose=[1.98, 0, 0])
     assert "off the map" in refused(with_map, "goal", pose=[5, 0, 0])
     off = [[5, 5], [6, 5], [6, 6]]
-    assert "keepout 2: lies outside the map" in refused(
+    assert "keepout 2: outside the map" in refused(
         with_map, "keepout", outlines=[[[0.5, 0.5], [1, 0.5], [1, 1]], off]
     )
     assert with_map.view.map_name == ""
@@ -100,7 +100,7 @@ def test_a_bag_at_a_time_and_a_name_only_once(without_map):
     without_map.wait(0.1)
     assert "one is being recorded" in refused(without_map, "record", name="two")
     without_map.do("record_stop")
-    said = "record: there is a bag one already; choose another name"
+    said = "record: a bag one already exists; choose another name"
     assert refused(without_map, "record", name="one") == said
     assert without_map.view.recording is None
 
