@@ -23,7 +23,7 @@ from turtlebag.sim.lidar import Lidar
 from turtlebag.sim.physics import Physics
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
-from turtlebag.sim.teleop import commands, load_script
+from turtlebag.sim.teleop_scripts import commands, load_script
 from turtlebag.sim.worlds import load_world
 
 CASES = (

@@ -14,7 +14,7 @@ from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.sim.faults import FaultConfig
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
-from turtlebag.sim.teleop import Script, Step, commands
+from turtlebag.sim.teleop_scripts import Script, Step, commands
 from turtlebag.sim.worlds import load_world
 
 WORLDS = Path(__file__).with_name("worlds")

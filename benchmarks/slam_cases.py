@@ -24,7 +24,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
 from turtlebag.sim.simulator import Sensors
-from turtlebag.sim.teleop import script_names
+from turtlebag.sim.teleop_scripts import script_names
 
 PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
 ROBOTS = ("burger", "waffle_pi")

@@ -23,7 +23,7 @@ from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
-from turtlebag.sim.teleop import Script, Step, commands
+from turtlebag.sim.teleop_scripts import Script, Step, commands
 from turtlebag.sim.worlds import load_world
 
 HOURS = 2.0

@@ -34,7 +34,7 @@ NUMBERS = {
     "shared errors of points": "align.STEP_INFLATION",
     "kernel, rough poses": "correspondences.ROUGH.sigma",
     "kernel, good poses": "correspondences.FINE.sigma",
-    "weight of the odometry's NIS": "line_tracking.NIS_WEIGHT",
+    "weight of the odometry's NIS": "icp_odometry.NIS_WEIGHT",
     "odometry's noise": "tracking.odometry: floor share",
     "way between key scans": "tracking: key_distance_m key_turn_rad",
     "drift of the steps": "drift.HONEST",

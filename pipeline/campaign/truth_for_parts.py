@@ -26,7 +26,7 @@ from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.setup import Made, Mission, make_driver, prepare
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_end import Placed
-from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.loop_closure import Closed, close_graph
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps

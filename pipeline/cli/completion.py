@@ -44,7 +44,7 @@ def _built_in() -> dict[str, Sequence[str]]:
     from turtlebag.datasets.yaml_files import known_names
     from turtlebag.pipeline.campaign.campaign_file import FOLDER as STUDIES
     from turtlebag.sim.robots import robot_names
-    from turtlebag.sim.teleop import script_names
+    from turtlebag.sim.teleop_scripts import script_names
     from turtlebag.sim.worlds import world_names
 
     return {

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def inputs(args: argparse.Namespace) -> list[Path]:
     """World, robot and settings as far as they are files, and the bag whose commands are driven again."""
     from turtlebag.pipeline.stages.bag_commands import is_recording
-    from turtlebag.sim.teleop import script_names
+    from turtlebag.sim.teleop_scripts import script_names
 
     replayed = is_recording(args.teleop) and args.teleop not in script_names()
     return [*named_inputs(args), *([Path(args.teleop)] if replayed else [])]

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     """Drive by keys until Q or Ctrl-C."""
     from turtlebag.datasets.errors import InputError
     from turtlebag.pipeline.stages.record import RecordOptions, Scene, record_drive
-    from turtlebag.pipeline.terminal.keyboard import (
+    from turtlebag.pipeline.terminal.keyboard_teleop import (
         TABLES,
         KeyState,
         View,

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _list(args: argparse.Namespace) -> int:
     from turtlebag.sim.generators import GENERATORS
     from turtlebag.sim.robots import robot_names
-    from turtlebag.sim.teleop import script_names
+    from turtlebag.sim.teleop_scripts import script_names
     from turtlebag.sim.worlds import load_world, world_names
 
     for name in world_names():

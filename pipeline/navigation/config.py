@@ -18,8 +18,8 @@ from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig
 from turtlebag.planners.global_plan import PlanConfig
 from turtlebag.planners.tasks.avoid import AvoidConfig
+from turtlebag.planners.tasks.patrol import SequenceConfig
 from turtlebag.planners.tasks.recovery import RecoveryConfig, Rung
-from turtlebag.planners.tasks.sequence import SequenceConfig
 from turtlebag.sim.simulator import SimConfig
 
 ControllerName = Annotated[str, part_of("pursuit", "dwa")]

@@ -35,7 +35,7 @@ from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.rolling import RollingLayer
-from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
 # Without a map: cells of the window, how far off its centre the robot may be; plans keep farther off.

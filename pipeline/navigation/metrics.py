@@ -5,7 +5,7 @@ from __future__ import annotations
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
-from turtlebag.planners.tasks.sequence import GoalOutcome, GoalSequence
+from turtlebag.planners.tasks.patrol import GoalOutcome, GoalSequence
 from turtlebag.reports.metrics.navigation import Floor, Goal, RunMetrics, run_metrics
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Simulator

@@ -17,7 +17,7 @@ from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.global_plan import fits
-from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.patrol import GoalSequence
 
 PATIENCE_S = 30.0
 """Time without a scan after which the goals are given up."""

@@ -23,15 +23,15 @@ from turtlebag.pipeline.navigation.drivers import (
     make_mapless,
     make_navigator,
 )
+from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.takeover import load_script
 from turtlebag.pipeline.terminal.messages import note_degrees
 from turtlebag.planners.costmap import Costmap, costmap_from_grid
-from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from turtlebag.sim.robots import RobotSpec
 

@@ -12,7 +12,7 @@ from itertools import groupby
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.pipeline.terminal.messages import Simulated, length, number_of
 from turtlebag.planners.tasks.avoid import in_words
-from turtlebag.planners.tasks.sequence import GoalOutcome, GoalSequence
+from turtlebag.planners.tasks.patrol import GoalOutcome, GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.reports.metrics.navigation import THERE_M, RunMetrics, pose_error, truly_reached
 from turtlebag.sim.simulator import Truth

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.pipeline.slam.front_end import FrontEnd
+from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.kiss import KissIcp
-from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.tracker import Maker
 from turtlebag.pipeline.slam.wheels import Wheels
 

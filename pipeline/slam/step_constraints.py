@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from turtlebag.pipeline.slam.align import CAUCHY, STEP_INFLATION
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.line_tracking import STEADY_SHARE
+from turtlebag.pipeline.slam.icp_odometry import STEADY_SHARE
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 

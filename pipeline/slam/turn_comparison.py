@@ -20,7 +20,7 @@ from turtlebag.datasets.types import Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, known_motion, make_clouds
 from turtlebag.pipeline.slam.gyro import turns_with
-from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, RangeNoise, range_noise
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.tracker import track_log

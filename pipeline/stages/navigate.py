@@ -139,7 +139,7 @@ def _takeovers(mission: Mission) -> Iterator[Source | None]:
     if mission.request.takeover != "keyboard":
         yield None
         return
-    from turtlebag.pipeline.terminal.keyboard import TakeoverKeys, clock, keys_of, show
+    from turtlebag.pipeline.terminal.keyboard_teleop import TakeoverKeys, clock, keys_of, show
 
     show(TakeoverKeys.TABLE + "\n")
     with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:

@@ -17,7 +17,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.navigation.pose_check import require_free
+from turtlebag.pipeline.navigation.initial_pose import require_free
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import path_clearance, sample_footprint

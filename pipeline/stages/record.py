@@ -23,7 +23,7 @@ from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.driver import Stuck
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
 from turtlebag.sim.simulator import SimConfig, Simulator, Truth
-from turtlebag.sim.teleop import commands, load_script, script_names
+from turtlebag.sim.teleop_scripts import commands, load_script, script_names
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world, own_files
 
@@ -115,7 +115,7 @@ def record_drive(
     inputs: Mapping[str, Path] | None = None,
     watch: Callable[[Observation], None] | None = None,
 ) -> int:
-    """Record what a driver does (sim.teleop: a generator of commands that is sent the truth).
+    """Record what a driver does (sim.teleop_scripts: a generator of commands that is sent the truth).
 
     `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
     """

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.tiles import GridTiles
 from turtlebag.pipeline.studio.view import BagMarks, Scene, View
-from turtlebag.pipeline.terminal.keyboard import STEP_V, STEP_W
+from turtlebag.pipeline.terminal.keyboard_teleop import STEP_V, STEP_W
 
 COLUMNS = {
     "scan": 2,

@@ -30,7 +30,7 @@ from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.avoid import in_words
-from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.wiggle import Wiggle
 from turtlebag.sim.robots import PERIOD_S
 

@@ -27,7 +27,7 @@ from turtlebag.pipeline.studio.view import (
     SectorMarks,
 )
 from turtlebag.planners.obstacle_layer import ObstacleLayer
-from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.patrol import GoalSequence
 
 Made = TypeVar("Made")
 AHEAD_S, AHEAD_STEPS = 1.5, 16

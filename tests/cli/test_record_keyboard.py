@@ -10,7 +10,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.record import Scene, record_drive
-from turtlebag.pipeline.terminal.keyboard import TABLES, KeyState, View, keyboard_driver, keys_of
+from turtlebag.pipeline.terminal.keyboard_teleop import TABLES, KeyState, View, keyboard_driver, keys_of
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world

@@ -9,7 +9,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli import navigate as navigate_command
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation import setup
-from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
+from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, parse_waypoint, tutorial_patrol
 
 S = 10**9

@@ -20,7 +20,7 @@ from turtlebag.pipeline.navigation.relocalisation_states import (
     State,
 )
 from turtlebag.pipeline.navigation.setup import Request, prepare
-from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
+from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.sim.faults import FaultConfig
 from turtlebag.sim.robots import load_robot

@@ -20,8 +20,8 @@ from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.navigation.takeover import Interval, Script, TakeoverConfig, load_script
 from turtlebag.pipeline.stages.navigate import navigate
-from turtlebag.pipeline.terminal.keyboard import TakeoverKeys
-from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
+from turtlebag.pipeline.terminal.keyboard_teleop import TakeoverKeys
+from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.reports.metrics.navigation import takeovers
 from turtlebag.sim.robots import load_robot
@@ -163,7 +163,7 @@ def test_ctrl_c_during_a_keyboard_takeover_keeps_the_drive(true_map, tmp_path, m
     ]
     with os.fdopen(reader) as stdin, os.fdopen(writer, "wb"):
         monkeypatch.setattr("sys.stdin", stdin)
-        monkeypatch.setattr("turtlebag.pipeline.terminal.keyboard.clock", lambda speed: wait)
+        monkeypatch.setattr("turtlebag.pipeline.terminal.keyboard_teleop.clock", lambda speed: wait)
         assert main([*words, "--takeover", "keyboard", "--out", str(out)]) == 130
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["time_s"] == pytest.approx(3.0)

@@ -8,7 +8,7 @@ import pytest
 from turtlebag.sim.lidar import LidarConfig
 from turtlebag.sim.robots import load_robot, robot_names
 from turtlebag.sim.simulator import REALISTIC_SLIP, SimConfig, Simulator
-from turtlebag.sim.teleop import commands, load_script, script_names
+from turtlebag.sim.teleop_scripts import commands, load_script, script_names
 from turtlebag.sim.worlds import load_world
 
 TEXT = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()

@@ -18,7 +18,7 @@ from turtlebag.pipeline.slam.align import Prior, align
 from turtlebag.pipeline.slam.calibration import calibrate
 from turtlebag.pipeline.slam.clouds import make_clouds, sweep_motion
 from turtlebag.pipeline.slam.correspondences import Limits
-from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
 from turtlebag.pipeline.slam.scan_poses import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.track import OdometryNoise, TrackingConfig

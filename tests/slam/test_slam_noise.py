@@ -10,7 +10,7 @@ from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, 
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.clouds import KNOTS, make_clouds, sweep_motion
-from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.track import TrackingConfig
 from turtlebag.pipeline.slam.tracker import Tracker

@@ -14,12 +14,12 @@ from benchmarks.slam_scores import errors
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam import line_tracking, place_recognition
+from turtlebag.pipeline.slam import icp_odometry, place_recognition
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.drift import drift_of
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.loop_search import LoopConfig
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
@@ -188,7 +188,7 @@ def test_after_a_long_gap_a_scan_that_hardly_fits_confirms_nothing(wait_s, overl
 @pytest.mark.parametrize("sure", [0.92, 0.0])
 def test_after_a_gap_the_odometry_has_it_where_scans_fit_by_chance(sure, monkeypatch):
     """Seven of 26 drives with gaps of 20 s were 3 to 12 m off, their odometry right to centimetres."""
-    monkeypatch.setattr(line_tracking, "SURELY_THERE", sure)
+    monkeypatch.setattr(icp_odometry, "SURELY_THERE", sure)
     poses = around_the_room(60)
     log, other = (recording(room, poses, odometry=poses) for room in (ROOM, 1.3 * ROOM))
     odometry = SE2.from_array(poses)

@@ -20,7 +20,7 @@ from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.metrics import goal_of
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.planners.tasks.sequence import GoalOutcome
+from turtlebag.planners.tasks.patrol import GoalOutcome
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.reports.metrics.navigation import run_metrics
 from turtlebag.reports.metrics.trajectory import ate

@@ -26,7 +26,7 @@ from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
-from turtlebag.sim.teleop import commands, load_script
+from turtlebag.sim.teleop_scripts import commands, load_script
 from turtlebag.sim.worlds import load_world, world_names
 
 SCRIPT = """name: short

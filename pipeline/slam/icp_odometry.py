@@ -1,4 +1,4 @@
-"""The line tracker, our front end (ICP odometry): each scan aligned with the last key scans.
+"""ICP odometry (front end `lines`): each scan matched with the last key scans, several hypotheses competing.
 
 Odometry can be wrong (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
 therefore aligned from several starts - odometry, constant velocity - and scored by how well it fits

@@ -1,4 +1,4 @@
-"""Teleop scripts in YAML (keyboard teleop is in `pipeline/terminal/keyboard.py`).
+"""Teleop scripts in YAML (keyboard teleop is in `pipeline/terminal/keyboard_teleop.py`).
 
 The driver is a simulated person who watches the robot: it steers by the true pose.
 It belongs to the recording, like the true trajectory; no estimator, planner or controller imports it,
