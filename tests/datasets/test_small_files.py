@@ -54,7 +54,7 @@ def test_ply_files_hold_points_and_colours(tmp_path):
     for content, says in (
         (data[:-1], "truncated"), (b"obj" + data[3:], "not a binary"),
         (data.replace(b"little", b"bigger"), "not a binary"),
-        (other.replace(b"short z", b"short w"), "without points"), (b"", "not a binary"),
+        (other.replace(b"short z", b"short w"), "no points x, y, z"), (b"", "not a binary"),
     ):  # fmt: skip
         path.write_bytes(content)
         with pytest.raises(InputError, match=says):
