@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.agreement import DIFFERENT
@@ -63,7 +64,7 @@ class Disambiguation:
 
     def command(self, tick: Tick, most_s: float) -> Twist | None:
         """The command of a tick; None when nothing more can be done in `most_s` seconds."""
-        if tick.now_ns - self._began_ns > round(most_s * 1e9):
+        if tick.now_ns - self._began_ns > nanoseconds(most_s):
             return None
         if self._runner is None:
             self._runner = self._set_out(tick.pose)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
@@ -53,7 +54,7 @@ class ExploreDriver(Driver):
         super().__init__(sensing)
         self.online = online
         self._config, self.tools = config, tools
-        self._end_ns = round(duration_s * 1e9)
+        self._end_ns = nanoseconds(duration_s)
         self._bumps = BumpMemory(tools.model)
         self._way: _Way | None = None
         self._spent: list[Array] = []
@@ -101,7 +102,7 @@ class ExploreDriver(Driver):
 
     def _late(self, way: _Way, now: int) -> bool:
         """Whether to look at the map anew on the way: not in trouble, or its recoveries would never end."""
-        return now - way.since_ns > LOOK_AFTER_S * 1e9 and not way.runner.recovering
+        return now - way.since_ns > nanoseconds(LOOK_AFTER_S) and not way.runner.recovering
 
     def _back_off(self, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""

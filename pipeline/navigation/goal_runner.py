@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
@@ -207,7 +208,7 @@ class GoalRunner:
         obstacles = self.tools.obstacles
         if obstacles.static is not route.static and route.short:
             return True
-        if not obstacles.marked or tick.now_ns - route.planned_ns < obstacles.marking.replan_s * 1e9:
+        if not obstacles.marked or tick.now_ns - route.planned_ns < nanoseconds(obstacles.marking.replan_s):
             return False
         costmap = obstacles.costmap
         poses = np.ascontiguousarray((costmap.T_grid_map @ route.poses).xyt)

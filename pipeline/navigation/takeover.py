@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol
 import yaml
 from pydantic import Field, model_validator
 
+from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, RobotModel, Twist
@@ -75,7 +76,7 @@ class Script:
     """Takeovers known beforehand. Stamps are compared in whole nanoseconds."""
 
     def __init__(self, script: tuple[Interval, ...]) -> None:
-        self._spans = [(round(i.begin * 1e9), round(i.end * 1e9), Twist(i.v, i.w)) for i in script]
+        self._spans = [(nanoseconds(i.begin), nanoseconds(i.end), Twist(i.v, i.w)) for i in script]
 
     def asked(self, stamp_ns: int) -> Twist | None:
         """The command of the interval that holds the stamp."""
@@ -152,7 +153,7 @@ class CommandOwner:
         return ramped(Twist(wanted.v * factor, wanted.w * factor), self._last, self._limits)
 
     def _note(self, stamp_ns: int, asked: Twist) -> None:
-        begin, end = round(stamp_ns * 1e-9, 9), round(stamp_ns * 1e-9 + PERIOD_S, 9)
+        begin, end = round(seconds(stamp_ns), 9), round(seconds(stamp_ns) + PERIOD_S, 9)
         last = self.asked[-1] if self.asked else None
         if last is not None and (last.v, last.w) == (asked.v, asked.w) and begin - last.end < 1e-3:
             self.asked[-1] = last.model_copy(update={"end": end})

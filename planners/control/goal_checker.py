@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from turtlebag.datasets.durations import Seconds
+from turtlebag.datasets.durations import Seconds, nanoseconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist, yaw_difference
@@ -59,4 +59,4 @@ class GoalChecker:
             return False
         if self._since_ns is None:
             self._since_ns = now_ns
-        return now_ns - self._since_ns >= self.config.hold * 1e9
+        return now_ns - self._since_ns >= nanoseconds(self.config.hold)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.types import Twist
 
 ANGLE, W = 1.2, 0.7
@@ -23,7 +24,7 @@ class Wiggle:
         """The turn of this tick; None when the cloud is `settled` or the time is over."""
         if self._start_ns is None:
             self._start_ns = now_ns
-        t = (now_ns - self._start_ns) * 1e-9
+        t = seconds(now_ns - self._start_ns)
         if t >= MOST_S:
             self.gave_up = not settled
             return None
