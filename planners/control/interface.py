@@ -97,8 +97,8 @@ class Ramped:
         model: RobotModel,
         period: float,
         *,
-        max_v: float,
-        max_w: float,
+        max_v: float = math.inf,
+        max_w: float = math.inf,
         acceleration_share: float = ACCELERATION_SHARE,
     ) -> None:
         self.limits = SpeedLimits.of(
