@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.costmap import ENTRY_M, Costmap, clearance_field, nearest_free
+from turtlebag.planners.costmap import SNAP_M, Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.obstacle_layer import NEVER, Beams, Marking, ObstacleLayer, _mark_and_clear
@@ -27,7 +27,7 @@ RES = 0.1
 def standing(costmap, pose, radius):
     """The cell from which exploring begins."""
     here = costmap.T_grid_map @ pose.xy / costmap.resolution
-    return nearest_free(costmap.clearance > radius, here, ENTRY_M / costmap.resolution)
+    return nearest_free(costmap.clearance > radius, here, SNAP_M / costmap.resolution)
 
 
 def plain_sweep(seen, hits, clearance, x, y, ends, is_hit, now, obstacle_range, known):
@@ -185,7 +185,7 @@ def test_a_goal_beyond_the_rim_is_made_for_by_the_shortest_way():
         assert layer.stands_in(goal)
         pose = SE2.from_xyt(*rng.uniform(-0.5, 0.5, 2), 0.0)
         free = layer.costmap.clearance > radius
-        start = nearest_free(free, (layer.costmap.T_grid_map @ pose.xy) / res, ENTRY_M / res)
+        start = nearest_free(free, (layer.costmap.T_grid_map @ pose.xy) / res, SNAP_M / res)
         ways = grid_distance(free, *start, math.inf) * res
         best = (math.inf, None)
         inset = round(RIM_M / res)
@@ -265,12 +265,12 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, mos
     )
 
 
-def test_the_robot_stands_in_the_nearest_cell_with_room_within_half_a_metre():
+def test_the_robot_stands_in_the_nearest_cell_with_room_within_reach():
     lethal = np.zeros((20, 30), dtype=bool)
     lethal[:, 15:] = True
     costmap = Costmap(lethal, RES, SE2.from_xyt(1.0, 0.0, 0.0))
     assert standing(costmap, SE2.from_xyt(1.0 + 0.83, 0.98, 0.0), 0.3) == (9, 8)
     # the last column with 0.35 m to the wall's centres is the eleventh, its centre at 1.15
-    assert standing(costmap, SE2.from_xyt(1.0 + 1.64, 0.95, 0.0), 0.35) == (9, 11)
-    assert standing(costmap, SE2.from_xyt(1.0 + 1.66, 0.95, 0.0), 0.35) is None
+    assert standing(costmap, SE2.from_xyt(1.0 + 1.49, 0.95, 0.0), 0.35) == (9, 11)
+    assert standing(costmap, SE2.from_xyt(1.0 + 1.51, 0.95, 0.0), 0.35) is None
     assert standing(costmap, SE2.from_xyt(2.0, 1.0, 0.0), 99.0) is None
