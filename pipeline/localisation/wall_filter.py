@@ -319,7 +319,7 @@ def nis(predicted: Array, P_predicted: Array, corrected: Array, P_corrected: Arr
     step = (corrected - predicted).reshape(-1, 1)
     step[2, 0] = (step[2, 0] + np.pi) % (2.0 * np.pi) - np.pi
     expected = P_predicted - P_corrected + STEP_DONE**2 * np.eye(3)
-    return (step * solve(expected, step)).sum() / 3.0
+    return (step * solve(expected, step)).sum() / POSE
 
 
 def _turn(yaw: float) -> Array:

@@ -23,12 +23,12 @@ from turtlebag.planners.footprint import (
     sample_footprint,
 )
 from turtlebag.planners.global_plan import PlanConfig, plan_path
-from turtlebag.planners.obstacle_layer import ObstacleLayer
+from turtlebag.planners.obstacle_layer import ON_MAP, ObstacleLayer
 from turtlebag.planners.planner import NoPath
 from turtlebag.planners.tasks.recovery import PROGRESS_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
 from turtlebag.planners.tasks.sequence import Status
 
-LOOK_AHEAD_M = 2.5
+LOOK_AHEAD_M = ON_MAP.obstacle_range
 """Obstacles farther along the path are no reason to plan anew: on a map none is marked from farther off."""
 
 
