@@ -19,8 +19,6 @@ BINS, DILATION_BINS = 360, 2
 """Bearings of a profile; a beam stands for so many to both sides."""
 SHIFT_M = 0.06
 """A sweep that saw so much farther saw through the place."""
-NEAR_M = 1.5
-"""Points farther from the lidar are not looked at: what moves there stops nobody yet."""
 COMPANY, COMPANY_M = 3, 0.2
 """A moving point has so many others near it: one alone is noise."""
 STOP_M = 0.35
@@ -67,10 +65,8 @@ def profile(ends_lidar: Array) -> Array:
 
 
 def moved_points(sweep: DeskewedScan, T_odom_lidar: SE2, ranges: Array) -> Array:
-    """Hits near the lidar (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
+    """Hits (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
     hits = sweep.hits_odom
-    near = np.linalg.norm(hits - sweep.T_odom_lidar.xy, axis=1) < NEAR_M
-    hits = hits[near]
     if len(hits) == 0:
         return np.zeros((0, 2))
     then = T_odom_lidar.inverse() @ hits
