@@ -18,7 +18,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.localisation.beams import Beams, evenly_spaced
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field, first_wall
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
@@ -146,7 +146,6 @@ def path_probabilities(
     """
     rows, cols = distance.shape
     x0, y0, yaw0, per_metre = frame
-    cell = 1.0 / per_metre
     c0, s0 = np.cos(yaw0), np.sin(yaw0)
     sigma, z_hit, p_rand = noise
     out = np.empty((len(poses), len(starts)))
@@ -158,19 +157,8 @@ def path_probabilities(
             ox, oy = px + c * starts[j, 0] - s * starts[j, 1], py + s * starts[j, 0] + c * starts[j, 1]
             wx, wy = c * ways[j, 0] - s * ways[j, 1], s * ways[j, 0] + c * ways[j, 1]
             length = np.hypot(wx, wy)
-            clear = length - PATH_SLACK_M
-            at, blocked = 0.0, False
-            while at < clear:
-                col = int((ox + wx * at / length) * per_metre)
-                row = int((oy + wy * at / length) * per_metre)
-                if col < 0 or row < 0 or col >= cols or row >= rows:
-                    break
-                d = distance[row, col]
-                if d < 0.5 * cell:
-                    blocked = True
-                    break
-                # The nearest centre is at least this far from here, wherever in the cell we are.
-                at += max(d - 0.75 * cell, 0.5 * cell)
+            wall, _ = first_wall(distance, per_metre, (ox, oy), (wx, wy), length, length - PATH_SLACK_M)
+            blocked = wall >= 0
             if j >= hits:
                 out[i, j] = P_MISSED if blocked else 1.0 - P_MISSED
                 continue

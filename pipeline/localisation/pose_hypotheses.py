@@ -21,7 +21,7 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.pipeline.localisation.agreement import ALIKE
 from turtlebag.pipeline.localisation.beams import Beams
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, first_wall
 from turtlebag.pipeline.localisation.global_search import PATH_SLACK_M, GlobalSearch
 from turtlebag.pipeline.localisation.local_search import climb
 
@@ -176,9 +176,8 @@ def expected_ranges(
     """Range to the first occupied cell's centre (its projection on the beam), (n, m), range_max at most.
 
     `starts` and unit `directions` (m, 2) are in the base frame; `frame` is the field's corner in the map
-    (x, y, yaw) and its cells per metre. Steps are as long as the distance field allows.
+    (x, y, yaw) and its cells per metre.
     """
-    rows, cols = distance.shape
     x0, y0, yaw0, per_metre = frame
     cell = 1.0 / per_metre
     c0, s0 = np.cos(yaw0), np.sin(yaw0)
@@ -191,19 +190,10 @@ def expected_ranges(
             ox, oy = px + c * starts[j, 0] - s * starts[j, 1], py + s * starts[j, 0] + c * starts[j, 1]
             ux = c * directions[j, 0] - s * directions[j, 1]
             uy = s * directions[j, 0] + c * directions[j, 1]
-            at = 0.0
-            while at < range_max:
-                gx, gy = (ox + ux * at) * per_metre, (oy + uy * at) * per_metre
-                if gx < 0.0 or gy < 0.0 or gx >= cols or gy >= rows:
-                    break
-                col, row = int(gx), int(gy)
-                d = distance[row, col]
-                if d < 0.5 * cell:
-                    reached = ((col + 0.5) * cell - ox) * ux + ((row + 0.5) * cell - oy) * uy
-                    out[i, j] = min(max(reached, 0.0), range_max)
-                    break
-                # The nearest centre is at least this far from here, wherever in the cell we are.
-                at += max(d - 0.75 * cell, 0.25 * cell)
+            row, col = first_wall(distance, per_metre, (ox, oy), (ux, uy), 1.0, range_max)
+            if row >= 0:
+                reached = ((col + 0.5) * cell - ox) * ux + ((row + 0.5) * cell - oy) * uy
+                out[i, j] = min(max(reached, 0.0), range_max)
     return out
 
 
