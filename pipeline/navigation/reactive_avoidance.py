@@ -126,10 +126,10 @@ def _to_most_room(points_base: Array) -> float:
     bearing = np.arctan2(points_base[:, 1], points_base[:, 0])
     distance = np.linalg.norm(points_base, axis=1)
     best, angle = -1.0, math.pi
-    for center in np.linspace(-math.pi, math.pi, 24, endpoint=False):
-        off = np.abs(wrap(bearing - center))
-        inside = distance[off < math.radians(15.0)]
-        room = float(inside.min()) if len(inside) else 10.0
+    centers, half = np.linspace(-math.pi, math.pi, 24, endpoint=False, retstep=True)
+    for center in centers:
+        inside = distance[np.abs(wrap(bearing - center)) < half]
+        room = float(inside.min()) if len(inside) else math.inf
         if room > best:
             best, angle = room, float(center)
     return angle

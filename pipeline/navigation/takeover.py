@@ -155,7 +155,7 @@ class CommandOwner:
     def _note(self, stamp_ns: int, asked: Twist) -> None:
         begin, end = round(seconds(stamp_ns), 9), round(seconds(stamp_ns) + PERIOD_S, 9)
         last = self.asked[-1] if self.asked else None
-        if last is not None and (last.v, last.w) == (asked.v, asked.w) and begin - last.end < 1e-3:
+        if last is not None and (last.v, last.w) == (asked.v, asked.w) and begin - last.end < 0.5 * PERIOD_S:
             self.asked[-1] = last.model_copy(update={"end": end})
         else:
             self.asked.append(Interval(begin=begin, end=end, v=asked.v, w=asked.w))
