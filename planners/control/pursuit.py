@@ -19,8 +19,6 @@ LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
 TURN_FIRST_RAD = 0.75
 """A bearing to the path beyond this is turned away on the spot, until it is TURNED_RAD."""
 TURNED_RAD = 0.1
-REGULATED_M = 0.45
-"""Curves of a smaller radius are taken more slowly, in proportion."""
 NEAR_M, SLOWEST = 0.2, 0.35
 """With less room than this the robot slows down, in proportion, to this part of the top speed at least."""
 SETTLE_M = 0.12
@@ -118,7 +116,6 @@ class Pursuit(Ramped):
         top, bend = self.limits.max_v, abs(curvature)
         v = min(
             float(np.interp(self._s, self._lengths, self._speeds)),
-            top / max(1.0, bend * REGULATED_M),
             top * max(SLOWEST, room / NEAR_M),
             math.sqrt(2.0 * BRAKING * self.limits.max_dv * remaining),
         )

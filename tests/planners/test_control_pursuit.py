@@ -18,7 +18,6 @@ from turtlebag.planners.control.pursuit import (
     LOOKAHEAD_S,
     MAX_LATERAL,
     NEAR_M,
-    REGULATED_M,
     SETTLE_M,
     SLOWEST,
     TURN_FIRST_RAD,
@@ -99,7 +98,6 @@ def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
     ):  # fmt: skip
         bend = abs(curvature)
         v = min(top, math.sqrt(MAX_LATERAL / max(bend, 1e-6)))
-        v = min(v, top / max(1.0, bend * REGULATED_M))
         if room_m < NEAR_M:
             v = min(v, top * max(SLOWEST, room_m / NEAR_M))
         v = min(v, math.sqrt(1.2 * 0.8 * 1e3 * remaining), 1.4 / max(bend, 1e-6))
