@@ -31,8 +31,8 @@ STAGE_PARTICLES = 3000
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
 STEEPEST = 0.3
-# Beams looked at in a search, and for an agreement; so many silent ones besides for each of them.
-MOST_HITS, MOST_AGREEING, SILENT_SHARE = 40, 120, 0.75
+# Beams looked at in a search, twice as many for an agreement; and silent ones for each of them.
+MOST_HITS, SILENT_SHARE = 60, 0.75
 # A beam may end this much before the wall that it is said to come from; ranges farther apart are others.
 PATH_SLACK_M = 0.2
 # Probability of no return although the map has a wall in reach.
@@ -71,10 +71,10 @@ class GlobalSearch:
 
     def agreements(self, poses: Array, beams: Beams) -> Array:
         """`agreement` (n,) of each of the poses (n, 3)."""
-        p = path_probabilities(*self._arguments(poses, beams, MOST_AGREEING))
+        p = path_probabilities(*self._arguments(poses, beams, 2 * MOST_HITS))
         if p.shape[1] == 0:
             return np.zeros(len(poses))
-        hits = min(len(beams), MOST_AGREEING)
+        hits = min(len(beams), 2 * MOST_HITS)
         best = np.where(np.arange(p.shape[1]) < hits, sum(self._noise[1:]), 1.0 - P_MISSED)
         return np.asarray(np.mean(p / best, axis=1))
 
