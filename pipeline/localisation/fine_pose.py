@@ -11,8 +11,6 @@ which is a state here, is mostly far smaller. How much smaller is learned from t
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
@@ -24,9 +22,9 @@ from turtlebag.pipeline.localisation.wall_filter import WallFilter
 # Less than this apart [m or rad], the two agree however wide the cloud is: its field is a cell coarse.
 LEAST_REACH = 0.08
 # Share of the alphas' standard deviation, at first and at least (all of it at most); how fast it follows the
-# scans' NIS, which it holds at this (below 1: residuals of one wall are alike), and the most one may say.
+# scans' NIS, which it holds at this (below 1: residuals of one wall are alike).
 FIRST_SHARE, LEAST_SHARE = 0.3, 0.05
-SHARE_RATE, USUAL_NIS, MOST_NIS = 0.05, 0.5, 3.0
+SHARE_RATE, USUAL_NIS = 0.05, 0.5
 
 
 class FinePose:
@@ -61,7 +59,7 @@ class FinePose:
 
     def _learn(self, nis: float) -> None:
         """Trust odometry more or less."""
-        share = self._share * math.exp(SHARE_RATE * (min(nis, MOST_NIS) - USUAL_NIS))
+        share = self._share * (1.0 + SHARE_RATE * (nis - USUAL_NIS))
         self._share = min(max(share, LEAST_SHARE), 1.0)
 
     def _started(self, cloud: Estimate) -> WallFilter | None:
