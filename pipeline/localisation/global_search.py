@@ -31,8 +31,8 @@ STAGE_PARTICLES = 3000
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
 STEEPEST = 0.3
-# Beams looked at in a search, twice as many for an agreement; and silent ones for each of them.
-MOST_HITS, SILENT_SHARE = 60, 0.75
+# Beams with a return looked at in a search, as many without, and twice as many of both for an agreement.
+MOST_HITS = 60
 # A beam may end this much before the wall that it is said to come from; ranges farther apart are others.
 PATH_SLACK_M = 0.2
 # Probability of no return although the map has a wall in reach.
@@ -102,7 +102,7 @@ class GlobalSearch:
 
     def _arguments(self, poses: Array, beams: Beams, most: int) -> tuple:
         hits = evenly_spaced(len(beams), most)
-        silent = evenly_spaced(len(beams.silent_origins), int(SILENT_SHARE * most))
+        silent = evenly_spaced(len(beams.silent_origins), most)
         starts = np.concatenate([beams.origins[hits], beams.silent_origins[silent]])
         ways = np.concatenate(
             [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]

@@ -53,7 +53,7 @@ def watched(changes, agreement=None, odometry=None):
 
 def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
     _, told = watched([0.0, 0.1, 0.0, 0.1, 0.1])
-    assert [spread is not None for spread in told] == [False, False, False, False, True]
+    assert [std is not None for std in told] == [False, False, False, False, True]
     np.testing.assert_allclose(told[-1], [0.3, 0.3, standing.LEAST_STD], atol=0.011)
     # after it every scan is held against the map for a while, though the view stays as it is now
     looks = []
