@@ -8,7 +8,6 @@ goal reached, or to drive on, by the likelier one would be a guess that nobody c
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,7 +19,7 @@ from turtlebag.pipeline.localisation.agreement import DIFFERENT
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
-from turtlebag.planners.control.goal_checker import GoalCheckerConfig
+from turtlebag.planners.control.goal_checker import PASSING
 from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
@@ -28,7 +27,6 @@ from turtlebag.planners.tasks.frontier import SPENT_M
 # Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
 # beside a thing a view changes with every centimetre.
 SPACING_M, ROOMS_M = 0.15, (0.15, 0.05)
-PASSING = GoalCheckerConfig(xy_goal_tolerance=0.12, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
 
 
 class Disambiguation:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +18,6 @@ from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.pipeline.slam.slam import SlamConfig
-from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import next_view
@@ -27,8 +25,6 @@ from turtlebag.planners.tasks.frontier import next_view
 # Clearance beyond the robot's circumscribed radius that ways must have [m]; the map is made anew after this
 # long on the way to one place, too [s].
 MARGIN_M, LOOK_AFTER_S = 0.03, 12.0
-ARRIVED = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=math.pi, stop=False)
-"""A place to look from is passed, in any heading."""
 
 
 class ExploreConfig(Settings, allow_inf_nan=False):

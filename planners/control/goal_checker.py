@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -37,6 +38,10 @@ class GoalCheckerConfig(Settings, allow_inf_nan=False):
         """Position [m] and heading [rad]."""
         xy, yaw = TOLERANCES[self.preset]
         return self.xy_goal_tolerance or xy, self.yaw_goal_tolerance or yaw
+
+
+PASSING = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
+"""A place to look from is passed, in any heading."""
 
 
 class GoalChecker:
