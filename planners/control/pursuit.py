@@ -29,8 +29,8 @@ RELEASE_M = 0.028
 """Drifting this far off while turning makes the robot settle again."""
 BRAKING = 0.6
 """Part of the asked braking that is planned with along the path."""
-MAX_W, MAX_LATERAL = 1.4, 1.2
-"""Fastest turn [rad/s], if the robot's own limit is no lower, and lateral acceleration [m/s^2]."""
+MAX_LATERAL = 1.2
+"""Most lateral acceleration [m/s^2]."""
 GAIN = 1.5
 """By how much of what is left [m, rad] it drives to the goal, and twice as fast turns on the spot [1/s]:
 slower than any of the robots can brake."""
@@ -40,7 +40,7 @@ class Pursuit(Ramped):
     """A controller (see turtlebag.planners.control.interface)."""
 
     def __init__(self, model: RobotModel, period: float) -> None:
-        super().__init__(model, period, max_w=MAX_W)
+        super().__init__(model, period)
         self.samples = sample_footprint(model)
         self.state = "idle"
         self._points = np.zeros((0, 2))

@@ -100,7 +100,7 @@ def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
         v = min(top, math.sqrt(MAX_LATERAL / max(bend, 1e-6)))
         if room_m < NEAR_M:
             v = min(v, top * max(SLOWEST, room_m / NEAR_M))
-        v = min(v, math.sqrt(1.2 * 0.8 * 1e3 * remaining), 1.4 / max(bend, 1e-6))
+        v = min(v, math.sqrt(1.2 * 0.8 * 1e3 * remaining), 2.0 / max(bend, 1e-6))
         assert pursuit._regulated_speed(room_m, curvature, remaining) == pytest.approx(v)
     pursuit._speeds = np.linspace(0.4, 0.0, 101)
     assert pursuit._regulated_speed(9.0, 0.0, 3.0) == pytest.approx(0.4 * 0.6)
@@ -119,7 +119,7 @@ def test_a_path_is_driven_as_fast_as_its_bends_allow_and_braked_before_them(monk
     np.testing.assert_allclose(pursuit._speeds, braked(limits, lengths, 0.6 * 0.8 * 0.5))
     assert pursuit._speeds[0] == 0.5
     assert pursuit._speeds[100] == pytest.approx(math.sqrt(0.05 * 0.3), rel=0.02)
-    assert (pursuit.limits.max_v, pursuit.limits.max_w, pursuit.limits.max_dv) == (0.5, 1.4, 0.4)
+    assert (pursuit.limits.max_v, pursuit.limits.max_w, pursuit.limits.max_dv) == (0.5, 2.0, 0.4)
 
 
 def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
