@@ -16,9 +16,8 @@ from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 
 LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
 """The point steered for is so far ahead by speed, within these bounds."""
-TURN_FIRST_RAD = 0.75
-"""A bearing to the path beyond this is turned away on the spot, until it is TURNED_RAD."""
-TURNED_RAD = 0.1
+TURN_FIRST_RAD, TURNED_RAD = 0.75, 0.35
+"""A bearing to the path beyond the one is turned away on the spot, until it is the other; one to the goal, too."""
 NEAR_M, SLOWEST = 0.2, 0.35
 """With less room than this the robot slows down, in proportion, to this part of the top speed at least."""
 SETTLE_M = 0.12
@@ -53,7 +52,7 @@ class Pursuit(Ramped):
         """Follow a new path; where the robot is on it is looked for from its start."""
         self._points = np.ascontiguousarray(poses.xy)
         self._lengths = arc_lengths(self._points)
-        bends = curvature_along(self._points, self._lengths, 0.15)
+        bends = curvature_along(self._points, self._lengths, LOOKAHEAD_M[0])
         limits = np.sqrt(MAX_LATERAL / np.maximum(bends, 1e-6))
         self._speeds = braked(
             np.minimum(limits, self.limits.max_v), self._lengths, BRAKING * self.limits.max_dv
@@ -132,7 +131,7 @@ class Pursuit(Ramped):
             # Done when near enough, or when the closest point of this straight run is reached.
             if distance < SETTLED or (distance < RELEASE_M * 0.8 and ahead < 0.003):
                 self.state = "align"
-            elif abs(steer) > 0.35 and distance > SETTLED:
+            elif abs(steer) > TURNED_RAD and distance > SETTLED:
                 return Twist(0.0, self._turning_speed(steer))
             else:
                 v = max(min(0.5 * self.limits.max_v, GAIN * distance), 0.015) * (-1.0 if backwards else 1.0)

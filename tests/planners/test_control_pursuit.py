@@ -115,7 +115,7 @@ def test_a_path_is_driven_as_fast_as_its_bends_allow_and_braked_before_them(monk
     pursuit = Pursuit(robot, DT)
     pursuit.set_path(SE2.from_xyt(*path.T, np.zeros(len(path))))
     lengths = arc_lengths(path)
-    limits = np.minimum(np.sqrt(0.05 / np.maximum(curvature_along(path, lengths, 0.15), 1e-6)), 0.5)
+    limits = np.minimum(np.sqrt(0.05 / np.maximum(curvature_along(path, lengths, LOOKAHEAD_M[0]), 1e-6)), 0.5)
     np.testing.assert_allclose(pursuit._speeds, braked(limits, lengths, 0.6 * 0.8 * 0.5))
     assert pursuit._speeds[0] == 0.5
     assert pursuit._speeds[100] == pytest.approx(math.sqrt(0.05 * 0.3), rel=0.02)
@@ -164,7 +164,7 @@ def test_it_settles_along_its_heading_by_a_share_of_the_gap(gap, aside, backward
     found = pursuit._onto_goal(x, 4.0 + aside, 0.0, Twist())
     distance = math.hypot(gap, aside)
     steer = math.atan2(aside if backwards else -aside, gap)
-    if abs(steer) > 0.35:
+    if abs(steer) > TURNED_RAD:
         assert (found.v, found.w) == (0.0, pytest.approx(pursuit._turning_speed(steer)))
         return
     v = max(min(0.25, 1.5 * distance), 0.015)
