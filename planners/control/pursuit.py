@@ -17,7 +17,7 @@ from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
 """The point steered for is so far ahead by speed, within these bounds."""
 TURN_FIRST_RAD, TURNED_RAD = 0.75, 0.35
-"""A bearing to the path beyond the one is turned away on the spot, until it is the other; one to the goal, too."""
+"""A bearing to the path beyond the one is turned away on the spot until it is the other; to the goal, too."""
 NEAR_M, SLOWEST = 0.2, 0.35
 """With less room than this the robot slows down, in proportion, to this part of the top speed at least."""
 SETTLE_M = 0.12
