@@ -15,8 +15,8 @@ ALIKE, DIFFERENT = 0.05, 0.1
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8
 # So far below the usual agreement is a doubt (less is people and boxes in view): random particles are mixed
-# in from this share on, and at most so many; a single scan so far below speaks against the estimate.
-LEAST_RANDOM, MOST_RANDOM = 0.25, 0.5
+# in from this share on; a single scan so far below speaks against the estimate.
+LEAST_RANDOM = 0.25
 # Filter updates from one search to the next while lost.
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
 # Agreement below this part of the best so far is worth a second look, so many updates apart: without it, a
@@ -55,7 +55,7 @@ class AgreementWatch:
         if self._config.recovery_alpha_slow <= 0.0:
             return 0.0
         share = 1.0 - self.fast / self.slow
-        return min(share, MOST_RANDOM) if share >= LEAST_RANDOM else 0.0
+        return share if share >= LEAST_RANDOM else 0.0
 
     def search_share(self) -> float:
         """Share of particles to draw from a search now: all at a global start, then now and then while lost.
