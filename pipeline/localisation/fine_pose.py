@@ -15,12 +15,10 @@ import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.pipeline.localisation.estimate import Estimate, narrow
+from turtlebag.pipeline.localisation.estimate import NARROW_M, Estimate, narrow
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
-# Less than this apart [m or rad], the two agree however wide the cloud is: its field is a cell coarse.
-LEAST_REACH = 0.08
 # Share of the alphas' standard deviation, at first and at least (all of it at most); how fast it follows the
 # scans' NIS, which it holds at this (below 1: residuals of one wall are alike).
 FIRST_SHARE, LEAST_SHARE = 0.3, 0.05
@@ -67,6 +65,7 @@ class FinePose:
 
 
 def _agree(T_map_base: SE2, cloud: Estimate) -> bool:
+    """Whether a pose is within three standard deviations of the cloud, or what is narrow anyway."""
     offset = np.abs(T_map_base.xyt - cloud.T_map_base.xyt)
     offset[2] = abs(wrap(offset[2]))
-    return bool(np.all(offset <= np.maximum(LEAST_REACH, 3.0 * np.sqrt(np.diag(cloud.core)))))
+    return bool(np.all(offset <= np.maximum(NARROW_M, 3.0 * np.sqrt(np.diag(cloud.core)))))
