@@ -18,6 +18,7 @@ from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.planners.control.goal_checker import STOPPED_V
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import next_view
@@ -153,5 +154,5 @@ class ExploreDriver(Driver):
     def _stop(self, observation: Observation) -> Twist:
         """Brake; the run is over when it was done and the robot stands."""
         self._last = self.tools.controller.brake(self._last)
-        self.finished = self.state == "done" and abs(observation.odometry.twist.v) < 1e-3
+        self.finished = self.state == "done" and abs(observation.odometry.twist.v) <= STOPPED_V
         return self._last

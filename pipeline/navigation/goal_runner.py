@@ -12,7 +12,7 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
+from turtlebag.planners.control.goal_checker import STOPPED_V, STOPPED_W, GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.interface import Controller, require_twist
 from turtlebag.planners.control.monitor import CollisionMonitor, moved
 from turtlebag.planners.costmap import Costmap
@@ -228,7 +228,7 @@ class GoalRunner:
 
     def _held_up(self, tick: Tick, wanted: Twist) -> Verdict | None:
         """Recovery when the monitor holds the robot, or when it does not get on."""
-        moving = abs(wanted.v) > 0.005 or abs(wanted.w) > 0.03
+        moving = abs(wanted.v) > STOPPED_V or abs(wanted.w) > STOPPED_W
         if moving and self._recovery.watch.stuck(tick.now_ns, tick.pose):
             return self._recovery.start(tick, "stuck: the robot made no progress")
         if not moving:
