@@ -6,9 +6,10 @@ import math
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.types import Twist
+from turtlebag.planners.tasks.recovery import ROTATE_W
 
-ANGLE, W = 1.2, 0.7
-"""It turns this far [rad] to the left, twice as far to the right, and so on, at this speed [rad/s]."""
+ANGLE = 1.2
+"""It turns this far [rad] to the left, twice as far to the right, and so on."""
 LEAST_S, MOST_S = 3.0, 25.0
 """It goes on at least so long, and stops after so long, whatever the cloud does."""
 
@@ -31,5 +32,4 @@ class Wiggle:
         if settled and t >= LEAST_S:
             return None
         # A triangle wave of heading: a quarter up, a half down, a quarter up.
-        phase = (t * W / (4.0 * ANGLE)) % 1.0
-        return Twist(0.0, math.copysign(W, 1.0 if phase < 0.25 or phase >= 0.75 else -1.0))
+        return Twist(0.0, math.copysign(ROTATE_W, math.cos(0.5 * math.pi * t * ROTATE_W / ANGLE)))
