@@ -14,9 +14,11 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 ALIKE, DIFFERENT = 0.05, 0.1
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8
-# So far below the usual agreement is a doubt (less is people and boxes in view): random particles are mixed
-# in from this share on; a single scan so far below speaks against the estimate.
-LEAST_RANDOM = 0.25
+# So large a share of the beams that fits no more is a doubt; less is people and boxes in view. Random
+# particles are mixed in from this share on; a single scan so far below the usual speaks against the estimate.
+DOUBTFUL = 0.25
+# One scan may be noise: so many in a row are none.
+DOUBTS = 2
 # Filter updates from one search to the next while lost.
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
 # Agreement below this part of the best so far is worth a second look, so many updates apart: without it, a
@@ -48,14 +50,14 @@ class AgreementWatch:
 
     def contradicted_by(self, agreement: float) -> bool:
         """Whether a scan of this agreement speaks against the estimate."""
-        return agreement < (1.0 - LEAST_RANDOM) * self.slow
+        return agreement < (1.0 - DOUBTFUL) * self.slow
 
     def random_share(self) -> float:
         """Share of random particles: how far the agreement of late is below that of long."""
         if self._config.recovery_alpha_slow <= 0.0:
             return 0.0
         share = 1.0 - self.fast / self.slow
-        return share if share >= LEAST_RANDOM else 0.0
+        return share if share >= DOUBTFUL else 0.0
 
     def search_share(self) -> float:
         """Share of particles to draw from a search now: all at a global start, then now and then while lost.
@@ -71,7 +73,7 @@ class AgreementWatch:
         lost = share > 0.0
         if not lost:
             self._pause = FIRST_PAUSE
-            share = LEAST_RANDOM if self.fast < FADED * self.best else 0.0
+            share = DOUBTFUL if self.fast < FADED * self.best else 0.0
         if share == 0.0 or self.updates < self._next_search:
             return 0.0
         self._next_search = self.updates + (self._pause if lost else SECOND_LOOK_PAUSE)

@@ -14,13 +14,12 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Scan
-from turtlebag.pipeline.localisation.agreement import ALIKE, LONGEST_PAUSE
+from turtlebag.pipeline.localisation.agreement import ALIKE, DOUBTFUL, DOUBTS, LONGEST_PAUSE
 from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.motion import MIN_STEP_M
 
-# A beam has changed beyond the noise of a lidar; a view has when so large a share of the beams has, in so
-# many scans one after the other.
-CHANGED_M, CHANGED_SHARE, CHANGED_SCANS = 0.04, 0.25, 2
+# A beam has changed beyond the noise of a lidar; a view has when DOUBTFUL of its beams have, in DOUBTS scans.
+CHANGED_M = 0.04
 # The place found must be so far off [m, rad], and explain the scan clearly better (not ALIKE).
 OFF_M, OFF_RAD = 0.025, 0.03
 # After a push every scan is held against the map for so long; after a look in vain there is a pause, which
@@ -73,7 +72,7 @@ class PushDetector:
             self.moved()
             self._reference = (ranges, T_odom_base)
             return False
-        if changed_share(ranges, self._reference[0]) > CHANGED_SHARE:
+        if changed_share(ranges, self._reference[0]) > DOUBTFUL:
             self._changed += 1
         else:
             self._changed = self._pause = self._next_pause = 0
@@ -83,7 +82,7 @@ class PushDetector:
         if self._pause > 0:
             self._pause -= 1
             return False
-        return self._changed >= CHANGED_SCANS
+        return self._changed >= DOUBTS
 
 
 def changed_share(ranges: Array, before: Array) -> float:

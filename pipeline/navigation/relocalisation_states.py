@@ -11,6 +11,7 @@ from pydantic import Field
 
 from turtlebag.datasets.durations import Seconds, nanoseconds, seconds
 from turtlebag.datasets.settings import Settings
+from turtlebag.pipeline.localisation.agreement import DOUBTS
 
 
 class State(StrEnum):
@@ -68,8 +69,6 @@ TRANSITIONS = {
 }
 
 
-DOUBTS = 2
-"""Filter updates in a row that find the robot lost before it stops."""
 SETTLED_S = 1.0
 """So long the cloud must be narrow and the scans agree before it goes on."""
 TRUST_S = 15.0

@@ -248,8 +248,8 @@ def test_a_scan_that_explains_far_less_than_usual_contradicts():
     beams = beams_at(PLACE)
     usual = filter_.search.agreement(PLACE.xyt, beams)
     for slow, told in (
-        (usual / (1.0 - agreement_module.LEAST_RANDOM) * 0.99, False),
-        (usual / (1.0 - agreement_module.LEAST_RANDOM) * 1.01, True),
+        (usual / (1.0 - agreement_module.DOUBTFUL) * 0.99, False),
+        (usual / (1.0 - agreement_module.DOUBTFUL) * 1.01, True),
     ):
         filter_.watch.slow = slow
         assert filter_.contradicted(scan_at(PLACE), PLACE, PLACE) == told
