@@ -22,7 +22,7 @@ from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.planners.control.goal_checker import PASSING
 from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
-from turtlebag.planners.tasks.frontier import SPENT_M
+from turtlebag.planners.tasks.recovery import ELSEWHERE_M
 
 # Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
 # beside a thing a view changes with every centimetre.
@@ -118,7 +118,7 @@ def nearest_difference(
     cells = cells[(cells[:, 0] % step == 0) & (cells[:, 1] % step == 0)]
     xy = costmap.T_map_grid @ ((cells[:, ::-1] + 0.5) * costmap.resolution)
     for seen in visited:
-        keep = np.linalg.norm(xy - seen, axis=1) > SPENT_M
+        keep = np.linalg.norm(xy - seen, axis=1) > ELSEWHERE_M
         cells, xy = cells[keep], xy[keep]
     if len(cells) == 0:
         return None

@@ -19,7 +19,8 @@ from turtlebag.planners.rolling import (
     _rim,
     _shifted,
 )
-from turtlebag.planners.tasks.frontier import SPENT_M, VIEW_M, frontiers, next_view
+from turtlebag.planners.tasks.frontier import VIEW_M, frontiers, next_view
+from turtlebag.planners.tasks.recovery import ELSEWHERE_M
 
 RES = 0.1
 
@@ -250,7 +251,7 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, mos
     for r, c in np.argwhere(np.isfinite(ways)):
         place = grid.center_of(np.array([r, c]))
         gaps = np.hypot(*(spots - [r, c]).T) * RES
-        if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= SPENT_M:
+        if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= ELSEWHERE_M:
             continue
         label = {labels[tuple(s)] for s in spots[gaps <= gaps.min() + 1e-9]}
         worth = {min(np.sum(labels == k) * RES, most_gain) for k in label}
