@@ -14,12 +14,8 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, ways_from
 from turtlebag.planners.tasks.recovery import ELSEWHERE_M
 
-LEAST_M = 0.4
-"""Shorter frontiers are gaps between beams, not openings."""
 VIEW_M = 0.8
 """From how near a frontier is looked at."""
-MOST_GAIN_M = 3.0
-"""A frontier is worth as much way as it is long, and so much at most."""
 
 
 def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
@@ -36,10 +32,11 @@ def next_view(
 ) -> SE2 | None:
     """A pose from which to look at the most rewarding frontier; None when no frontier can be got near.
 
-    `costmap` is that of the grid, with unknown cells blocked; `radius` the clearance the robot needs [m];
-    `spent` are places (2,) looked from before: no second look from near there.
+    `costmap` is that of the grid, with unknown cells blocked; `radius` the clearance the robot needs [m]:
+    what is narrower is a gap between beams, not an opening. `spent` are places (2,) looked from before: no
+    second look from near there.
     """
-    labels = frontiers(grid, LEAST_M)
+    labels = frontiers(grid, 2.0 * radius)
     ways = ways_from(costmap, T_map_base, radius)
     if ways is None or not labels.any():
         return None
@@ -54,7 +51,7 @@ def next_view(
         return None
     lengths = np.bincount(labels.ravel()) * grid.resolution
     target = np.stack([rows[cells[:, 0], cells[:, 1]], cols[cells[:, 0], cells[:, 1]]], axis=-1)
-    worth = np.minimum(lengths[labels[target[:, 0], target[:, 1]]], MOST_GAIN_M)
-    best = int(np.argmin(ways[cells[:, 0], cells[:, 1]] - worth))
+    # A frontier is worth as much way as it is long.
+    best = int(np.argmin(ways[cells[:, 0], cells[:, 1]] - lengths[labels[target[:, 0], target[:, 1]]]))
     ahead = grid.center_of(target[best]) - places[best]
     return SE2.from_xyt(places[best, 0], places[best, 1], math.atan2(ahead[1], ahead[0]))

@@ -228,17 +228,15 @@ def half_seen(seed):
     return OccupancyGrid(cells, RES, SE2.from_xyt(1.0, -1.0, 0.5))
 
 
-@pytest.mark.parametrize("most_gain", [0.6, 9.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, most_gain, monkeypatch):
-    monkeypatch.setattr("turtlebag.planners.tasks.frontier.MOST_GAIN_M", most_gain)
+def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed):
     grid = half_seen(seed)
-    labels = frontiers(grid, 0.4)
+    labels = frontiers(grid, 0.3)
     unknown = np.pad(grid.cells == UNKNOWN, 1)
     beside = np.any([unknown[a : a + 40, b : b + 50] for a in range(3) for b in range(3)], axis=0)
     regions, count = ndimage.label((grid.cells == FREE) & beside, np.ones((3, 3)))
     for k in range(1, count + 1):
-        long_enough = np.sum(regions == k) * RES >= 0.4
+        long_enough = np.sum(regions == k) * RES >= 0.3
         assert np.all((labels[regions == k] > 0) == long_enough)
     assert len(np.unique(labels)) > 2
     costmap = Costmap(grid.cells != FREE, RES, grid.T_map_grid)
@@ -254,7 +252,7 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, mos
         if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= ELSEWHERE_M:
             continue
         label = {labels[tuple(s)] for s in spots[gaps <= gaps.min() + 1e-9]}
-        worth = {min(np.sum(labels == k) * RES, most_gain) for k in label}
+        worth = {np.sum(labels == k) * RES for k in label}
         best = min(best, (ways[r, c] - max(worth), tuple(place)))
     view = next_view(grid, costmap, robot, 0.15, spent)
     found = tuple(grid.cell_of(view.xy).tolist())
