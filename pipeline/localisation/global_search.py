@@ -27,7 +27,7 @@ CANDIDATES = 20000
 # Shaking after each stage: standard deviations [m and rad], and the particles left for the next.
 SHAKES = (0.10, 0.05, 0.03)
 STAGE_PARTICLES = 3000
-# Each weighing is flattened until this share of the candidates still counts.
+# Each weighing is flattened until this share of the candidates still counts; fewer together are no place.
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
 STEEPEST = 0.3

@@ -22,12 +22,15 @@ from turtlebag.pipeline.localisation.agreement import ALIKE
 from turtlebag.pipeline.localisation.beams import Beams
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
 from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, first_wall
-from turtlebag.pipeline.localisation.global_search import PATH_SLACK_M, STAGE_PARTICLES, GlobalSearch
+from turtlebag.pipeline.localisation.global_search import (
+    LEAST_EFFECTIVE,
+    PATH_SLACK_M,
+    STAGE_PARTICLES,
+    GlobalSearch,
+)
 from turtlebag.pipeline.localisation.local_search import climb
 
-# Of the poses drawn by one scan, the share that a place must hold to be looked at.
-LEAST_SHARE = 0.01
-# One that explains so many scans worse, and not ALIKE, is none any more.
+# So many scans settle it: a place that explains them worse, and not ALIKE, is none any more.
 SCANS = 6
 # Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. With
 # people all round, so that less than this is explained, nothing can be said.
@@ -93,15 +96,15 @@ class Aliasing:
         return most
 
     def _places(self, beams: Beams) -> list[Array]:
-        """Centres (3,) of the clusters of poses that one scan alone makes likely."""
+        """Centres (3,) of the clusters of poses that one scan alone makes likely: a share that counts."""
         poses = self._search.draw(STAGE_PARTICLES, beams, self._rng)
         places = []
-        while len(poses) > LEAST_SHARE * STAGE_PARTICLES:
+        while len(poses) > LEAST_EFFECTIVE * STAGE_PARTICLES:
             weights = np.full(len(poses), 1.0 / len(poses))
             seed = moments(poses, weights, poses[0], REACH_XY, REACH_YAW)[1]
             _, centre, _ = settled(poses, weights, seed)
             near = within(poses, centre)
-            if near.sum() > LEAST_SHARE * STAGE_PARTICLES:
+            if near.sum() > LEAST_EFFECTIVE * STAGE_PARTICLES:
                 places.append(centre)
             near[0] = True
             poses = poses[~near]
