@@ -17,8 +17,8 @@ NOMINAL_AGREEMENT = 0.8
 # So large a share of the beams that fits no more is a doubt; less is people and boxes in view. Random
 # particles are mixed in from this share on; a single scan so far below the usual speaks against the estimate.
 DOUBTFUL = 0.25
-# One scan may be noise: so many in a row are none.
-DOUBTS = 2
+# One scan may be noise: so many in a row are none, and so many settle a thing.
+DOUBTS, SETTLING = 2, 6
 # Filter updates from one search to the next while lost.
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
 # Agreement below this part of the best so far is worth a second look, so many updates apart: without it, a

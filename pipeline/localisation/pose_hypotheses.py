@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.pipeline.localisation.agreement import ALIKE
+from turtlebag.pipeline.localisation.agreement import ALIKE, SETTLING
 from turtlebag.pipeline.localisation.beams import Beams
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
 from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, first_wall
@@ -30,8 +30,6 @@ from turtlebag.pipeline.localisation.global_search import (
 )
 from turtlebag.pipeline.localisation.local_search import climb
 
-# So many scans settle it: a place that explains them worse, and not ALIKE, is none any more.
-SCANS = 6
 # Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. With
 # people all round, so that less than this is explained, nothing can be said.
 APART, LEAST_FIT = 1.0, 0.7
@@ -131,19 +129,19 @@ class PoseHypotheses:
 
     def __init__(self, poses: Sequence[SE2]) -> None:
         self.poses = list(poses)
-        self._fits: deque[Array] = deque(maxlen=SCANS)
+        self._fits: deque[Array] = deque(maxlen=SETTLING)
 
     def judge(self, fits: Array) -> SE2 | None:
         """Take in the agreement (n,) of a scan under each; the one that is left when no other is any more.
 
-        Those left far behind over `SCANS` scans are dropped.
+        Those left far behind, not ALIKE, over `SETTLING` scans are dropped.
         """
         self._fits.append(fits)
-        if len(self._fits) == SCANS:
+        if len(self._fits) == SETTLING:
             mean = np.mean(self._fits, axis=0)
             kept = mean > mean.max() - ALIKE
             self.poses = [pose for pose, stays in zip(self.poses, kept, strict=True) if stays]
-            self._fits = deque((row[kept] for row in self._fits), maxlen=SCANS)
+            self._fits = deque((row[kept] for row in self._fits), maxlen=SETTLING)
         return self.poses[0] if len(self.poses) == 1 else None
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Scan
-from turtlebag.pipeline.localisation.agreement import ALIKE, DOUBTFUL, DOUBTS, LONGEST_PAUSE
+from turtlebag.pipeline.localisation.agreement import ALIKE, DOUBTFUL, DOUBTS, LONGEST_PAUSE, SETTLING
 from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.motion import MIN_STEP_M
 
@@ -22,15 +22,16 @@ from turtlebag.pipeline.localisation.motion import MIN_STEP_M
 CHANGED_M = 0.04
 # The place found must be so far off [m, rad], and explain the scan clearly better (not ALIKE).
 OFF_M, OFF_RAD = 0.025, 0.03
-# After a push every scan is held against the map for so long; after a look in vain there is a pause, which
-# doubles, up to LONGEST_PAUSE [scans].
-ALERT = 5
 # The cloud is drawn as wide as the place found is off, and at least so wide [m, rad].
 LEAST_STD = 0.05
 
 
 class PushDetector:
-    """Compares the scans of a standing robot with the first of them."""
+    """Compares the scans of a standing robot with the first of them.
+
+    After a push SETTLING scans are held against the map; after a look in vain there is a pause that doubles,
+    up to LONGEST_PAUSE [scans].
+    """
 
     def __init__(self) -> None:
         self.pushes = 0
@@ -61,7 +62,7 @@ class PushDetector:
             self._pause = self._next_pause
             return None
         self._reference = (scan.ranges.astype(np.float64), T_odom_base)
-        self._alert, self._pause, self._next_pause = ALERT, 0, 0
+        self._alert, self._pause, self._next_pause = SETTLING, 0, 0
         self.pushes += 1
         return np.maximum([xy, xy, float(offset[2])], LEAST_STD)
 

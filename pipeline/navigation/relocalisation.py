@@ -6,6 +6,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.localisation.agreement import SETTLING
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.localisation.push_detection import LEAST_STD
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
@@ -18,8 +19,6 @@ from turtlebag.planners.tasks.wiggle import Wiggle
 
 JUMP = 0.25
 """An estimate that moves more than this [m or rad] with one scan was wrong before."""
-SURE = 10
-"""Filter updates in a row without a doubt after which the robot is sure of where it is."""
 
 
 class Relocaliser:
@@ -183,7 +182,7 @@ class _Sureness:
         """
         searched = localiser.amcl.searches > self.searches
         self.searches = localiser.amcl.searches
-        moved = self._sure >= SURE and apart(T_map_odom @ T_odom_base, self._sure_of @ T_odom_base, JUMP)
+        moved = self._sure >= SETTLING and apart(T_map_odom @ T_odom_base, self._sure_of @ T_odom_base, JUMP)
         doubtful = searched or (self.doubted and moved)
         if self.doubted:
             self.doubted, self._sure = False, 0

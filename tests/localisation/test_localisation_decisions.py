@@ -69,7 +69,7 @@ def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
     assert [k for k, std in enumerate(out) if std is not None] == [2]
     assert sorted(set(looks)) == [2, 3, 4, 5, 6, 7]
     watch, told = watched([0.0, 0.1, 0.1])
-    assert (watch._alert, watch._pause, watch._next_pause) == (standing.ALERT, 0, 0)
+    assert (watch._alert, watch._pause, watch._next_pause) == (standing.SETTLING, 0, 0)
     assert watch._reference[0][0] == pytest.approx(1.1)
     driven = [SE2.from_xyt(0.02 * k, 0.0, 0.0) for k in range(5)]
     assert all(std is None for std in watched([0.0, 0.1, 0.2, 0.3, 0.4], odometry=driven)[1])
