@@ -9,7 +9,7 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
-from turtlebag.planners.control.goal_checker import STOPPED_V
+from turtlebag.planners.control.goal_checker import STOPPED_V, TOLERANCES
 from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
@@ -24,7 +24,7 @@ SETTLE_M = 0.12
 """From here on the goal itself is steered for."""
 SETTLED = 0.012
 """How near the goal [m] the robot settles before it turns to the goal's yaw, and how near to that [rad]."""
-RELEASE_M = 0.028
+RELEASE_M = TOLERANCES["default"][0]
 """Drifting this far off while turning makes the robot settle again."""
 BRAKING = 0.6
 """Part of the asked braking that is planned with along the path."""
@@ -65,7 +65,7 @@ class Pursuit(Ramped):
             # A new path under way: no stop, unless it leads elsewhere.
             return
         # A path of some length means that the robot is not where it was thought to settle.
-        near = len(self._lengths) > 0 and self._lengths[-1] < 4.0 * SETTLE_M
+        near = len(self._lengths) > 0 and self._lengths[-1] < LOOKAHEAD_M[1]
         if not (same_goal and near and self.state in ("settle", "align", "arrived")):
             self.state = "turn"
 
@@ -85,13 +85,13 @@ class Pursuit(Ramped):
         return float(self._lengths[-1] - self._s) if len(self._lengths) else 0.0
 
     def _along_path(self, x: float, y: float, yaw: float, last: Twist, costmap: Costmap) -> Twist:
-        self._s, _ = project(self._points, self._lengths, x, y, self._s - 0.1, self._s + 1.0)
+        least, most = LOOKAHEAD_M
+        self._s, _ = project(self._points, self._lengths, x, y, self._s - least, self._s + 1.0)
         remaining = self.remaining()
         if remaining < SETTLE_M:
             self.state = "settle"
             return self._onto_goal(x, y, yaw, last)
         room = self._room(x, y, yaw, costmap)
-        least, most = LOOKAHEAD_M
         # Near obstacles it must not cut corners.
         reach = min(max(abs(last.v) * LOOKAHEAD_S, least), most, least + 2.0 * max(room, 0.0))
         px, py = point_at(self._points, self._lengths, self._s + reach)
@@ -134,8 +134,8 @@ class Pursuit(Ramped):
             elif abs(steer) > TURNED_RAD and distance > SETTLED:
                 return Twist(0.0, self._turning_speed(steer))
             else:
-                v = max(min(0.5 * self.limits.max_v, GAIN * distance), 0.015) * (-1.0 if backwards else 1.0)
-                return Twist(v, GAIN * steer)
+                v = min(0.5 * self.limits.max_v, GAIN * distance)
+                return Twist(-v if backwards else v, GAIN * steer)
         error = wrapped(goal_yaw - yaw)
         if distance > RELEASE_M and abs(last.v) <= STOPPED_V:
             self.state = "settle"
@@ -145,8 +145,7 @@ class Pursuit(Ramped):
 
     def _turning_speed(self, error: float) -> float:
         """Fast while far off, and slow enough to stop on the mark."""
-        size = min(self.limits.max_w, 2.0 * GAIN * abs(error))
-        return math.copysign(max(size, 0.04), error)
+        return math.copysign(min(self.limits.max_w, 2.0 * GAIN * abs(error)), error)
 
 
 def _in_grid(costmap: Costmap, x: float, y: float, yaw: float) -> tuple[float, float, float]:
