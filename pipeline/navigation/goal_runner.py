@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.goal_checker import STOPPED_V, STOPPED_W, GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.interface import Controller, require_twist
-from turtlebag.planners.control.monitor import CollisionMonitor, moved
+from turtlebag.planners.control.monitor import PADDING_M, CollisionMonitor, moved
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import (
     FootprintSamples,
@@ -216,7 +216,7 @@ class GoalRunner:
         clearance = path_clearance(
             costmap.clearance, costmap.resolution, self.tools.samples, poses, x, y, LOOK_AHEAD_M
         )
-        return bool(clearance < self.tools.monitor.margins.padding)
+        return bool(clearance < PADDING_M)
 
     def _guarded(self, wanted: Twist, tick: Tick) -> Twist:
         """The command that the collision monitor lets pass."""

@@ -15,7 +15,7 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
-from turtlebag.planners.control.monitor import CollisionMonitor, StoppingMargins
+from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
 from turtlebag.planners.tasks.recovery import ProgressWatch
 
@@ -30,14 +30,13 @@ TURN_AWAY_RAD = 1.6
 MOST_FLIPS = 3
 # After so long [s] about one place, within this [m], it turns to where most room is: at the sweep 20 s on.
 RESTLESS_S, RESTLESS_M = 19.9, 0.4
-MARGINS = StoppingMargins(padding=0.03, reaction=0.15, braking_share=0.6)
 
 
 class ReactiveAvoidance:
     """Decides at every sweep, and watches over every command."""
 
     def __init__(self, model: RobotModel) -> None:
-        self.monitor = CollisionMonitor(model, MARGINS)
+        self.monitor = CollisionMonitor(model)
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + SIDE_ROOM_M
         self._nose = float(model.footprint[:, 0].max())
         self._turning = 0.0
