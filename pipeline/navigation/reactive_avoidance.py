@@ -19,8 +19,6 @@ from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
 from turtlebag.planners.tasks.recovery import ProgressWatch
 
-# A command of which the monitor passes no more than this part is not worth giving.
-POSSIBLE = 0.15
 # Half the corridor kept free ahead is half the robot's width and this; something in it nearer than this
 # before the nose counts as the nearest tier [m].
 SIDE_ROOM_M, NOSE_ROOM_M = 0.06, 0.2
@@ -104,7 +102,7 @@ class ReactiveAvoidance:
     def _possible(self, decision: Decision, points: Array) -> Decision:
         """The decision, or the nearest thing to it that touches nothing."""
         command = decision.command
-        if self.monitor.limit(command, points) > POSSIBLE:
+        if self.monitor.limit(command, points) > 0.0:
             return decision
         first = math.copysign(TURN_W, command.w if command.w else self._turning or 1.0)
         for name, other in (
@@ -113,7 +111,7 @@ class ReactiveAvoidance:
             ("back off", Twist(-SLOW_V, 0.0)),
             ("creep", Twist(0.5 * SLOW_V, 0.0)),
         ):
-            if self.monitor.limit(other, points) > POSSIBLE:
+            if self.monitor.limit(other, points) > 0.0:
                 if other.w:
                     self._turning = math.copysign(1.0, other.w)
                 return Decision(name, other)
