@@ -13,6 +13,7 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 # other clearly different: a scan of a place agrees with its map to within some hundredths.
 ALIKE, DIFFERENT = 0.05, 0.1
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
+# From 1 on, a robot carried off in the house is found after 3, 1, 6 and 1 s in place of 1, 1, 0 and 1.
 NOMINAL_AGREEMENT = 0.8
 # So large a share of the beams that fits no more is a doubt; less is people and boxes in view. Random
 # particles are mixed in from this share on; a single scan so far below the usual speaks against the estimate.

@@ -21,6 +21,8 @@ from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
 # Share of the alphas' standard deviation, at first and at least (all of it at most); how fast it follows the
 # scans' NIS, which it holds at this (below 1: residuals of one wall are alike).
+# With a share that stays at 0.2 the house is 1.75 cm off for 1.34 where odometry is 15 % noisy; with all
+# of it at first, 0.97 for 0.92 with the usual noise.
 FIRST_SHARE, LEAST_SHARE = 0.3, 0.05
 SHARE_RATE, USUAL_NIS = 0.05, 0.5
 

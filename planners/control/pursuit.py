@@ -15,11 +15,15 @@ from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 
 LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
-"""The point steered for is so far ahead by speed, within these bounds."""
+"""The point steered for is so far ahead by speed, within these bounds.
+
+With 0.3 m at any speed a maze is passed at 2.7 cm in place of 5."""
 TURN_FIRST_RAD, TURNED_RAD = 0.75, 0.35
 """A bearing to the path beyond the one is turned away on the spot until it is the other; to the goal, too."""
 NEAR_M, SLOWEST = 0.2, 0.35
-"""With less room than this the robot slows down, in proportion, to this part of the top speed at least."""
+"""With less room than this the robot slows down, in proportion, to this part of the top speed at least.
+
+Without it a maze is passed at 3.4 cm in place of 5."""
 SETTLE_M = 0.12
 """From here on the goal itself is steered for."""
 SETTLED = 0.012
@@ -27,7 +31,7 @@ SETTLED = 0.012
 RELEASE_M = TOLERANCES["default"][0]
 """Drifting this far off while turning makes the robot settle again."""
 BRAKING = 0.6
-"""Part of the asked braking that is planned with along the path."""
+"""Part of the asked braking that is planned with along the path; with all, a jackal ends 1.6 cm off."""
 MAX_LATERAL = 1.2
 """Most lateral acceleration [m/s^2]."""
 GAIN = 1.5
