@@ -20,11 +20,11 @@ NOMINAL_AGREEMENT = 0.8
 DOUBTFUL = 0.25
 # One scan may be noise: so many in a row are none, and so many settle a thing.
 DOUBTS, SETTLING = 2, 6
-# Filter updates from one search to the next while lost.
-FIRST_PAUSE, LONGEST_PAUSE = 2, 64
-# Agreement below this part of the best so far is worth a second look, so many updates apart: without it, a
-# robot that was carried off in the house noticed later and was at its goal after 94 s in place of 71 s.
-FADED, SECOND_LOOK_PAUSE = 0.9, 24
+# Filter updates, or scans, from one search in vain to the next at most.
+LONGEST_PAUSE = 32
+# Agreement below this part of the best so far is worth a second look: without it, a robot that was carried
+# off in the house noticed later and was at its goal after 94 s in place of 71 s.
+FADED = 0.9
 
 
 class AgreementWatch:
@@ -39,7 +39,7 @@ class AgreementWatch:
         self.best = 0.0
         """The highest fast average so far."""
         self._config = config
-        self._next_search, self._pause = 0, FIRST_PAUSE
+        self._next_search, self._pause = 0, 1
 
     def update(self, agreement: float) -> None:
         """Take in the agreement 0..1 of a scan at the new estimate."""
@@ -73,11 +73,11 @@ class AgreementWatch:
         share = self.random_share()
         lost = share > 0.0
         if not lost:
-            self._pause = FIRST_PAUSE
+            self._pause = 1
             share = DOUBTFUL if self.fast < FADED * self.best else 0.0
         if share == 0.0 or self.updates < self._next_search:
             return 0.0
-        self._next_search = self.updates + (self._pause if lost else SECOND_LOOK_PAUSE)
+        self._next_search = self.updates + (self._pause if lost else LONGEST_PAUSE)
         if lost:
             self._pause = min(2 * self._pause, LONGEST_PAUSE)
         return share

@@ -97,23 +97,23 @@ def test_searches_while_lost_come_after_pauses_that_double():
     filter_ = made()
     filter_.watch.slow, filter_.watch.fast = 0.8, 0.4
     looked = []
-    for update in range(300):
+    for update in range(130):
         filter_.watch.updates = update
         share = filter_.watch.search_share()
         assert share in (0.0, 0.5)
         if share:
             looked.append(update)
-    assert np.diff(looked).tolist() == [2, 4, 8, 16, 32, 64, 64, 64]
+    assert np.diff(looked).tolist() == [1, 2, 4, 8, 16, 32, 32, 32]
     filter_.watch.fast = 0.8
     assert filter_.watch.search_share() == 0.0
-    assert filter_.watch._pause == agreement_module.FIRST_PAUSE
+    assert filter_.watch._pause == 1
     filter_.watch.anywhere = True
     assert filter_.watch.search_share() == 1.0
     # faded, not lost: a look now and then
     again = made()
     again.watch.slow, again.watch.fast, again.watch.best = 0.8, 0.71, 0.8
     looked = [u for u in range(60) if (setattr(again.watch, "updates", u), again.watch.search_share())[1]]
-    assert looked == [0, 24, 48]
+    assert looked == [0, 32]
     again.watch.fast = 0.721
     again.watch.updates = 500
     assert again.watch.search_share() == 0.0
@@ -268,7 +268,7 @@ def test_a_restart_forgets_all_but_the_settings():
     assert (filter_.watch.updates, filter_.watch._next_search, filter_.watch._pause, filter_.watch.best) == (
         0,
         0,
-        2,
+        1,
         0.0,
     )
     assert (filter_.watch.slow, filter_.watch.fast, filter_._at.estimate, filter_._at.T_map_odom) == (
