@@ -19,13 +19,13 @@ from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.control.goal_checker import STOPPED_V
+from turtlebag.planners.control.monitor import PADDING_M
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import next_view
 
-# Clearance beyond the robot's circumscribed radius that ways must have [m]; the map is made anew after this
-# long on the way to one place, too [s].
-MARGIN_M, LOOK_AFTER_S = 0.03, 12.0
+LOOK_AFTER_S = 12.0
+"""The map is made anew after this long on the way to one place, too."""
 
 
 class ExploreConfig(Settings, allow_inf_nan=False):
@@ -123,7 +123,7 @@ class ExploreDriver(Driver):
         publisher.map_to_odom(now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
         costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config), now)
-        radius = self.tools.model.circumscribed_radius + MARGIN_M
+        radius = self.tools.model.circumscribed_radius + PADDING_M
         goal = next_view(grid, costmap, self.estimate, radius, self._spent)
         if goal is None:
             return

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 import yaml
 from pydantic import Field, model_validator
 
-from turtlebag.datasets.durations import nanoseconds, seconds
+from turtlebag.datasets.durations import LONGEST_S, nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, RobotModel, Twist
@@ -27,15 +27,11 @@ from turtlebag.sim.robots import PERIOD_S
 Owner = Literal["navigation", "teleop"]
 
 
-LATEST_S = 1e9
-"""Stamps are whole nanoseconds of 64 bits."""
-
-
 class Interval(Settings, allow_inf_nan=False):
     """Someone asks for one command from a time on until before another [s, m/s, rad/s]."""
 
     begin: float = Field(ge=0.0)
-    end: float = Field(le=LATEST_S)
+    end: float = Field(le=LONGEST_S)
     v: float = 0.0
     w: float = 0.0
 
