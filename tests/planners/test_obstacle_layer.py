@@ -231,12 +231,12 @@ def half_seen(seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed):
     grid = half_seen(seed)
-    labels = frontiers(grid, 0.3)
+    labels = frontiers(grid, 0.4)
     unknown = np.pad(grid.cells == UNKNOWN, 1)
     beside = np.any([unknown[a : a + 40, b : b + 50] for a in range(3) for b in range(3)], axis=0)
     regions, count = ndimage.label((grid.cells == FREE) & beside, np.ones((3, 3)))
     for k in range(1, count + 1):
-        long_enough = np.sum(regions == k) * RES >= 0.3
+        long_enough = np.sum(regions == k) * RES >= 0.4
         assert np.all((labels[regions == k] > 0) == long_enough)
     assert len(np.unique(labels)) > 2
     costmap = Costmap(grid.cells != FREE, RES, grid.T_map_grid)
