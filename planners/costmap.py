@@ -22,8 +22,8 @@ Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 SPECK_M2 = 0.06
 """Unknown patches smaller than this inside seen floor count as free: gaps between beams."""
-ENTRY_M = 0.5
-"""How far from a robot that stands too near something its way may begin."""
+SNAP_M = 0.35
+"""How far from a robot, or a goal, that is too close to an obstacle its way may begin, or end."""
 COST_SCALING = 3.0
 """How fast inflated costs fade [1/m]: turtlebot3's for costmap_2d."""
 INSCRIBED_COST = 253
@@ -147,7 +147,7 @@ def ways_from(costmap: Costmap, T_map_base: SE2, radius: float) -> GridDistance 
     None where the robot stands too near an obstacle.
     """
     free, res = costmap.clearance > radius, costmap.resolution
-    start = nearest_free(free, costmap.T_grid_map @ T_map_base.xy / res, ENTRY_M / res)
+    start = nearest_free(free, costmap.T_grid_map @ T_map_base.xy / res, SNAP_M / res)
     return None if start is None else grid_distance(free, *start, np.inf) * np.float32(res)
 
 

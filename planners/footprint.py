@@ -18,7 +18,7 @@ from turtlebag.datasets.types import RobotModel
 Field32 = NDArray[np.float32]
 
 
-HALF_DIAGONAL = 0.71
+HALF_DIAGONAL = math.sqrt(0.5)
 """No point of a cell is farther from its centre, in cells."""
 PITCH_M = 0.03
 """How far points of the footprint may be apart: less than a cell."""

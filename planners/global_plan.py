@@ -20,11 +20,11 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded
-from turtlebag.planners.costmap import COST_SCALING, Costmap, nearest_free
+from turtlebag.planners.costmap import COST_SCALING, SNAP_M, Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
-from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
+from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, OmplConfig, solve
 from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
 from turtlebag.planners.pose_planner import solve_poses
@@ -33,15 +33,11 @@ from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, 
 BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
 """Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls."""
 TIGHT_PULL, TIGHT_SWEEPS = 0.9, 300
-"""The same for pulling a path tight."""
-GOOD_ENOUGH = 1.02
-"""Length over that of the tightened way over the cells with which OMPL is content."""
+"""The same for pulling a path tight: with those of the band RRTConnect's are 0.5 % longer."""
 INFORMED = 1.1
 """OMPL searches only floor on some way at most this much longer than the shortest over the cells."""
 POSE_RUNS = 12
 """New seeds for a path of poses that is not found."""
-SNAP_M = 0.35
-"""How far an end may be moved to reach free floor, when the robot there is too close to an obstacle."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
@@ -296,7 +292,7 @@ class _Search:
         raw = solve(floor, a, b, GOOD_ENOUGH * path_length(over_cells), ompl, seed)
         if raw is None:
             return self.tightened(over_cells), OVER_CELLS
-        tight = shortcut(self.field, self.resolution, self.radius, densify(raw, 0.1))
+        tight = shortcut(self.field, self.resolution, self.radius, densify(raw, 2.0 * SPACING_M))
         return self.tightened(tight), ompl.name
 
     def tightened(self, path: Array) -> Array:

@@ -30,8 +30,8 @@ YAWS = np.arctan2(HEADINGS[:, 1], HEADINGS[:, 0])
 N = len(HEADINGS)
 BACKWARDS, TURN = 2.0, 0.2
 """What driving backwards costs a cell, and turning by one heading, beside a cell forwards."""
-SIDEWAYS = 0.98
-"""A step whose direction has a smaller cosine with the heading is no drive."""
+SIDEWAYS = math.cos(2.0 * math.pi / N)
+"""A step whose direction has a smaller cosine with the heading is no drive: it is off by a heading."""
 
 
 class Lattice:

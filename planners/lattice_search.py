@@ -21,7 +21,7 @@ from turtlebag.planners.oriented import Ground, drives, moves, turns
 BLOCKED, WIDE = -1, -2
 SLIP = 4.0
 """What it costs to leave or reach a pose with a slip of a cell to the side; only where no drive does."""
-OCTILE = 0.92
+OCTILE = math.cos(math.pi / 8.0)
 """A straight way over eight neighbours' length is no less than this."""
 NEAR = 2
 """How many cells and headings from start and goal the lattice is entered and left."""

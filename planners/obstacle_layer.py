@@ -13,8 +13,8 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.distance_transform import distance_field
 
-NEVER = -1.0e9
-"""Stamp [s] of a cell in which nothing was seen: before any run."""
+NEVER = -math.inf
+"""Stamp [s] of a cell in which nothing was seen."""
 REACH_M = 1.2
 """How far round obstacles seen the clearance is computed anew: more room than that nobody asks for."""
 

@@ -14,9 +14,6 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.planners.footprint import Field32, footprint_free
 
-TURN_STEP = 0.1
-"""Turns are checked this often [rad]."""
-
 
 class Ground(NamedTuple):
     """A clearance field [m], its resolution, and who moves there.
@@ -40,9 +37,13 @@ def moves(ground: Ground, a: Pose, b: Pose) -> bool:
 
 @njit(cache=True)
 def _free(ground: Ground, a: Pose, dx: float, dy: float, angle: float) -> bool:
-    """Whether the footprint goes straight from a pose by (dx, dy) while it turns by an angle."""
+    """Whether the footprint goes straight from a pose by (dx, dy) while it turns by an angle.
+
+    From one check to the next no corner goes farther than half a cell.
+    """
     field, res, corners = ground
-    steps = max(1, math.ceil(math.hypot(dx, dy) / (0.5 * res)), math.ceil(abs(angle) / TURN_STEP))
+    way = math.hypot(dx, dy) + abs(angle) * math.sqrt((corners**2).sum(axis=1).max())
+    steps = max(1, math.ceil(way / (0.5 * res)))
     for i in range(steps + 1):
         f = i / steps
         if not footprint_free(field, res, corners, a[0] + f * dx, a[1] + f * dy, a[2] + f * angle):

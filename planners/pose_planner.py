@@ -9,7 +9,13 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
-from turtlebag.planners.ompl_planner import STRAIGHT, OmplConfig, exact_path, iteration_limit, set_goal_length
+from turtlebag.planners.ompl_planner import (
+    GOOD_ENOUGH,
+    OmplConfig,
+    exact_path,
+    iteration_limit,
+    set_goal_length,
+)
 from turtlebag.planners.smoothing import SPACING_M
 
 SIMPLIFY_CALLS = 400
@@ -54,7 +60,7 @@ def solve_poses(
     problem = ob.ProblemDefinition(info)
     ends = _state(space, T_grid_start), _state(space, T_grid_goal)
     problem.setStartAndGoalStates(*ends)
-    set_goal_length(info, problem, (1.0 + STRAIGHT) * float(space.distance(*ends)))
+    set_goal_length(info, problem, GOOD_ENOUGH * float(space.distance(*ends)))
     path = exact_path(info, problem, ends[0], config)
     if path is None:
         return None

@@ -97,7 +97,7 @@ def relax(field: Field32, resolution: float, radius: float, path: Array, band: B
                 gx = field_at(field, resolution, x + h, y) - field_at(field, resolution, x - h, y)
                 gy = field_at(field, resolution, x, y + h) - field_at(field, resolution, x, y - h)
                 norm = math.hypot(gx, gy)
-                if norm > 1e-9:
+                if norm > 0.0:
                     cost = (math.exp(-fade * (d - radius)) - math.exp(-fade * (reach - radius))) / fade
                     dx += push * cost * gx / norm
                     dy += push * cost * gy / norm

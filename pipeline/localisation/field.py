@@ -87,6 +87,36 @@ def hit_probability(
 
 
 @njit(cache=True)
+def first_wall(
+    distance: FloatGrid,
+    per_metre: float,
+    start: tuple[float, float],
+    way: tuple[float, float],
+    length: float,
+    end: float,
+) -> tuple[int, int]:
+    """Cell (row, col) of the first wall on a beam, less than `end` [m] along it; (-1, -1): none.
+
+    `start` and `way`, `length` long [m], are in the frame of the field's corner. Steps are as long as the
+    distance field allows.
+    """
+    rows, cols = distance.shape
+    cell, at = 1.0 / per_metre, 0.0
+    while at < end:
+        x = (start[0] + way[0] * at / length) * per_metre
+        y = (start[1] + way[1] * at / length) * per_metre
+        if x < 0.0 or y < 0.0 or x >= cols or y >= rows:
+            break
+        col, row = int(x), int(y)
+        d = distance[row, col]
+        if d < 0.5 * cell:
+            return row, col
+        # The nearest centre is at least this far from here, wherever in the cell we are.
+        at += max(d - 0.75 * cell, 0.5 * cell)
+    return -1, -1
+
+
+@njit(cache=True)
 def sum_over_beams(
     table: FloatGrid,
     outside: float,

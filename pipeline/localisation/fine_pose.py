@@ -11,22 +11,20 @@ which is a state here, odometry is mostly far less noisy. How much less is learn
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.pipeline.localisation.estimate import Estimate, narrow
+from turtlebag.pipeline.localisation.estimate import NARROW_M, Estimate, narrow
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
-# Less than this apart [m or rad], the two agree however wide the cloud is: its field is a cell coarse.
-LEAST_REACH = 0.08
 # Share of the alphas' standard deviation, at first and at least (all of it at most); how fast it follows the
-# scans' NIS, which it holds at this (below 1: residuals of one wall are alike), and the most one may say.
+# scans' NIS, which it holds at this (below 1: residuals of one wall are alike).
+# With a share that stays at 0.2 the house is 1.75 cm off for 1.34 where odometry is 15 % noisy; with all
+# of it at first, 0.97 for 0.92 with the usual noise.
 FIRST_SHARE, LEAST_SHARE = 0.3, 0.05
-SHARE_RATE, USUAL_NIS, MOST_NIS = 0.05, 0.5, 3.0
+SHARE_RATE, USUAL_NIS = 0.05, 0.5
 
 
 class FinePose:
@@ -61,7 +59,7 @@ class FinePose:
 
     def _learn(self, nis: float) -> None:
         """Trust odometry more or less."""
-        share = self._share * math.exp(SHARE_RATE * (min(nis, MOST_NIS) - USUAL_NIS))
+        share = self._share * (1.0 + SHARE_RATE * (nis - USUAL_NIS))
         self._share = min(max(share, LEAST_SHARE), 1.0)
 
     def _started(self, cloud: Estimate) -> WallFilter | None:
@@ -69,6 +67,7 @@ class FinePose:
 
 
 def _agree(T_map_base: SE2, cloud: Estimate) -> bool:
+    """Whether a pose is within three standard deviations of the cloud, or what is narrow anyway."""
     offset = np.abs(T_map_base.xyt - cloud.T_map_base.xyt)
     offset[2] = abs(wrap(offset[2]))
-    return bool(np.all(offset <= np.maximum(LEAST_REACH, 3.0 * np.sqrt(np.diag(cloud.core)))))
+    return bool(np.all(offset <= np.maximum(NARROW_M, 3.0 * np.sqrt(np.diag(cloud.core)))))

@@ -18,7 +18,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.localisation.beams import Beams, evenly_spaced
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field, first_wall
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
@@ -27,14 +27,12 @@ CANDIDATES = 20000
 # Shaking after each stage: standard deviations [m and rad], and the particles left for the next.
 SHAKES = (0.10, 0.05, 0.03)
 STAGE_PARTICLES = 3000
-# Standard deviations of a search about a pose.
-AROUND_M, AROUND_RAD = 0.4, 0.35
-# Each weighing is flattened until this share of the candidates still counts.
+# Each weighing is flattened until this share of the candidates still counts; fewer together are no place.
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
 STEEPEST = 0.3
-# Beams looked at in a search, and for an agreement; so many silent ones besides for each of them.
-MOST_HITS, MOST_AGREEING, SILENT_SHARE = 40, 120, 0.75
+# Beams with a return looked at in a search, as many without, and twice as many of both for an agreement.
+MOST_HITS = 60
 # A beam may end this much before the wall that it is said to come from; ranges farther apart are others.
 PATH_SLACK_M = 0.2
 # Probability of no return although the map has a wall in reach.
@@ -50,6 +48,7 @@ class GlobalSearch:
         self.field = field
         self.range_max = range_max
         self._grid, self._free = grid, np.argwhere(grid.cells == FREE)
+        self._spread = np.sqrt([config.initial_cov_xx, config.initial_cov_yy, config.initial_cov_aa])
         self._noise = (config.sigma_hit, config.z_hit, config.z_rand / range_max)
 
     def uniform(self, count: int, rng: np.random.Generator) -> Array:
@@ -72,23 +71,22 @@ class GlobalSearch:
 
     def agreements(self, poses: Array, beams: Beams) -> Array:
         """`agreement` (n,) of each of the poses (n, 3)."""
-        p = path_probabilities(*self._arguments(poses, beams, MOST_AGREEING))
+        p = path_probabilities(*self._arguments(poses, beams, 2 * MOST_HITS))
         if p.shape[1] == 0:
             return np.zeros(len(poses))
-        hits = min(len(beams), MOST_AGREEING)
+        hits = min(len(beams), 2 * MOST_HITS)
         best = np.where(np.arange(p.shape[1]) < hits, sum(self._noise[1:]), 1.0 - P_MISSED)
         return np.asarray(np.mean(p / best, axis=1))
 
     def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
-        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,)."""
+        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,).
+
+        Around it means as far as a pose that is told may be off (initial_cov_*).
+        """
         if around is None:
             poses = self.uniform(CANDIDATES, rng)
         else:
-            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * (
-                AROUND_M,
-                AROUND_M,
-                AROUND_RAD,
-            )
+            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * self._spread
         for shake in SHAKES:
             weights = tempered(self._score(poses, beams))
             poses = poses[low_variance(weights, STAGE_PARTICLES, rng.random())]
@@ -104,7 +102,7 @@ class GlobalSearch:
 
     def _arguments(self, poses: Array, beams: Beams, most: int) -> tuple:
         hits = evenly_spaced(len(beams), most)
-        silent = evenly_spaced(len(beams.silent_origins), int(SILENT_SHARE * most))
+        silent = evenly_spaced(len(beams.silent_origins), most)
         starts = np.concatenate([beams.origins[hits], beams.silent_origins[silent]])
         ways = np.concatenate(
             [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]
@@ -146,7 +144,6 @@ def path_probabilities(
     """
     rows, cols = distance.shape
     x0, y0, yaw0, per_metre = frame
-    cell = 1.0 / per_metre
     c0, s0 = np.cos(yaw0), np.sin(yaw0)
     sigma, z_hit, p_rand = noise
     out = np.empty((len(poses), len(starts)))
@@ -158,19 +155,8 @@ def path_probabilities(
             ox, oy = px + c * starts[j, 0] - s * starts[j, 1], py + s * starts[j, 0] + c * starts[j, 1]
             wx, wy = c * ways[j, 0] - s * ways[j, 1], s * ways[j, 0] + c * ways[j, 1]
             length = np.hypot(wx, wy)
-            clear = length - PATH_SLACK_M
-            at, blocked = 0.0, False
-            while at < clear:
-                col = int((ox + wx * at / length) * per_metre)
-                row = int((oy + wy * at / length) * per_metre)
-                if col < 0 or row < 0 or col >= cols or row >= rows:
-                    break
-                d = distance[row, col]
-                if d < 0.5 * cell:
-                    blocked = True
-                    break
-                # The nearest centre is at least this far from here, wherever in the cell we are.
-                at += max(d - 0.75 * cell, 0.5 * cell)
+            wall, _ = first_wall(distance, per_metre, (ox, oy), (wx, wy), length, length - PATH_SLACK_M)
+            blocked = wall >= 0
             if j >= hits:
                 out[i, j] = P_MISSED if blocked else 1.0 - P_MISSED
                 continue

@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.pipeline.localisation.agreement import ALIKE
+from turtlebag.pipeline.localisation.agreement import ALIKE, SETTLING
 from turtlebag.pipeline.localisation.beams import Beams
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid
-from turtlebag.pipeline.localisation.global_search import PATH_SLACK_M, GlobalSearch
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, first_wall
+from turtlebag.pipeline.localisation.global_search import (
+    LEAST_EFFECTIVE,
+    PATH_SLACK_M,
+    STAGE_PARTICLES,
+    GlobalSearch,
+)
 from turtlebag.pipeline.localisation.local_search import climb
 
-# Poses drawn by one scan, and the share of them that a place must hold to be looked at.
-DRAWN, LEAST_SHARE = 2000, 0.01
-# One that explains so many scans worse, and not ALIKE, is none any more.
-SCANS = 6
 # Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. With
 # people all round, so that less than this is explained, nothing can be said.
 APART, LEAST_FIT = 1.0, 0.7
@@ -93,15 +94,15 @@ class Aliasing:
         return most
 
     def _places(self, beams: Beams) -> list[Array]:
-        """Centres (3,) of the clusters of poses that one scan alone makes likely."""
-        poses = self._search.draw(DRAWN, beams, self._rng)
+        """Centres (3,) of the clusters of poses that one scan alone makes likely: a share that counts."""
+        poses = self._search.draw(STAGE_PARTICLES, beams, self._rng)
         places = []
-        while len(poses) > LEAST_SHARE * DRAWN:
+        while len(poses) > LEAST_EFFECTIVE * STAGE_PARTICLES:
             weights = np.full(len(poses), 1.0 / len(poses))
             seed = moments(poses, weights, poses[0], REACH_XY, REACH_YAW)[1]
             _, centre, _ = settled(poses, weights, seed)
             near = within(poses, centre)
-            if near.sum() > LEAST_SHARE * DRAWN:
+            if near.sum() > LEAST_EFFECTIVE * STAGE_PARTICLES:
                 places.append(centre)
             near[0] = True
             poses = poses[~near]
@@ -128,19 +129,19 @@ class PoseHypotheses:
 
     def __init__(self, poses: Sequence[SE2]) -> None:
         self.poses = list(poses)
-        self._fits: deque[Array] = deque(maxlen=SCANS)
+        self._fits: deque[Array] = deque(maxlen=SETTLING)
 
     def judge(self, fits: Array) -> SE2 | None:
         """Update with the agreement (n,) of a scan under each; the last hypothesis, if only one is left.
 
-        Hypotheses that fall clearly behind over `SCANS` scans are dropped.
+        Hypotheses that fall clearly behind (not ALIKE) over `SETTLING` scans are dropped.
         """
         self._fits.append(fits)
-        if len(self._fits) == SCANS:
+        if len(self._fits) == SETTLING:
             mean = np.mean(self._fits, axis=0)
             kept = mean > mean.max() - ALIKE
             self.poses = [pose for pose, stays in zip(self.poses, kept, strict=True) if stays]
-            self._fits = deque((row[kept] for row in self._fits), maxlen=SCANS)
+            self._fits = deque((row[kept] for row in self._fits), maxlen=SETTLING)
         return self.poses[0] if len(self.poses) == 1 else None
 
 
@@ -176,9 +177,8 @@ def expected_ranges(
     """Range to the first occupied cell's centre (its projection on the beam), (n, m), range_max at most.
 
     `starts` and unit `directions` (m, 2) are in the base frame; `frame` is the field's corner in the map
-    (x, y, yaw) and its cells per metre. Steps are as long as the distance field allows.
+    (x, y, yaw) and its cells per metre.
     """
-    rows, cols = distance.shape
     x0, y0, yaw0, per_metre = frame
     cell = 1.0 / per_metre
     c0, s0 = np.cos(yaw0), np.sin(yaw0)
@@ -191,19 +191,10 @@ def expected_ranges(
             ox, oy = px + c * starts[j, 0] - s * starts[j, 1], py + s * starts[j, 0] + c * starts[j, 1]
             ux = c * directions[j, 0] - s * directions[j, 1]
             uy = s * directions[j, 0] + c * directions[j, 1]
-            at = 0.0
-            while at < range_max:
-                gx, gy = (ox + ux * at) * per_metre, (oy + uy * at) * per_metre
-                if gx < 0.0 or gy < 0.0 or gx >= cols or gy >= rows:
-                    break
-                col, row = int(gx), int(gy)
-                d = distance[row, col]
-                if d < 0.5 * cell:
-                    reached = ((col + 0.5) * cell - ox) * ux + ((row + 0.5) * cell - oy) * uy
-                    out[i, j] = min(max(reached, 0.0), range_max)
-                    break
-                # The nearest centre is at least this far from here, wherever in the cell we are.
-                at += max(d - 0.75 * cell, 0.25 * cell)
+            row, col = first_wall(distance, per_metre, (ox, oy), (ux, uy), 1.0, range_max)
+            if row >= 0:
+                reached = ((col + 0.5) * cell - ox) * ux + ((row + 0.5) * cell - oy) * uy
+                out[i, j] = min(max(reached, 0.0), range_max)
     return out
 
 

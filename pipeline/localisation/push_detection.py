@@ -14,23 +14,24 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Scan
+from turtlebag.pipeline.localisation.agreement import ALIKE, DOUBTFUL, DOUBTS, LONGEST_PAUSE, SETTLING
 from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.motion import MIN_STEP_M
 
-# A beam has changed beyond the noise of a lidar; a view has when so large a share of the beams has, in so
-# many scans one after the other.
-CHANGED_M, CHANGED_SHARE, CHANGED_SCANS = 0.04, 0.25, 2
-# The place found must be so far off [m, rad], and explain so much more of the scan.
-OFF_M, OFF_RAD, BETTER_BY = 0.025, 0.03, 0.04
-# After a push every scan is held against the map for so long; after a look in vain there is a pause, which
-# doubles [scans].
-ALERT, LONGEST_PAUSE = 5, 32
-# The cloud is drawn as wide as the place found for a forced update, and at least so wide [m] or OFF_RAD.
-LEAST_STD_M = 0.05
+# A beam has changed beyond the noise of a lidar; a view has when DOUBTFUL of its beams have, in DOUBTS scans.
+CHANGED_M = 0.04
+# The place found must be so far off [m, rad], and explain the scan clearly better (not ALIKE).
+OFF_M, OFF_RAD = 0.025, 0.03
+# The cloud is drawn as wide as the place found is off, and at least so wide [m, rad].
+LEAST_STD = 0.05
 
 
 class PushDetector:
-    """Compares the scans of a standing robot with the first of them."""
+    """Compares the scans of a standing robot with the first of them.
+
+    After a push SETTLING scans are held against the map; after a look in vain there is a pause that doubles,
+    up to LONGEST_PAUSE [scans].
+    """
 
     def __init__(self) -> None:
         self.pushes = 0
@@ -56,14 +57,14 @@ class PushDetector:
         offset = np.abs(found - pose)
         offset[2] = abs(wrap(offset[2]))
         xy = float(np.hypot(offset[0], offset[1]))
-        if best < here + BETTER_BY or (xy < OFF_M and offset[2] < OFF_RAD):
+        if best < here + ALIKE or (xy < OFF_M and offset[2] < OFF_RAD):
             self._next_pause = min(max(1, 2 * self._next_pause), LONGEST_PAUSE)
             self._pause = self._next_pause
             return None
         self._reference = (scan.ranges.astype(np.float64), T_odom_base)
-        self._alert, self._pause, self._next_pause = ALERT, 0, 0
+        self._alert, self._pause, self._next_pause = SETTLING, 0, 0
         self.pushes += 1
-        return np.array([max(xy, LEAST_STD_M), max(xy, LEAST_STD_M), max(float(offset[2]), OFF_RAD)])
+        return np.maximum([xy, xy, float(offset[2])], LEAST_STD)
 
     def _worth_a_look(self, scan: Scan, T_odom_base: SE2) -> bool:
         """Whether the view has changed for good, or has lately been found to shift."""
@@ -72,7 +73,7 @@ class PushDetector:
             self.moved()
             self._reference = (ranges, T_odom_base)
             return False
-        if changed_share(ranges, self._reference[0]) > CHANGED_SHARE:
+        if changed_share(ranges, self._reference[0]) > DOUBTFUL:
             self._changed += 1
         else:
             self._changed = self._pause = self._next_pause = 0
@@ -82,7 +83,7 @@ class PushDetector:
         if self._pause > 0:
             self._pause -= 1
             return False
-        return self._changed >= CHANGED_SCANS
+        return self._changed >= DOUBTS
 
 
 def changed_share(ranges: Array, before: Array) -> float:

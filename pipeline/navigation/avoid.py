@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
@@ -27,7 +28,7 @@ class AvoidDriver(Driver):
         super().__init__(sensing)
         self._avoidance = ReactiveAvoidance(model) if config.mode == "guarded" else None
         self._limits = SpeedLimits.of(model, PERIOD_S)
-        self._duration_ns = round(duration_s * 1e9)
+        self._duration_ns = nanoseconds(duration_s)
         self._say = say
 
     def step(self, observation: Observation) -> Twist:
@@ -68,4 +69,4 @@ class AvoidDriver(Driver):
         """Say what was seen when something else is decided than before."""
         before, self.state = self.state, decision.action.replace(",", "").replace(" ", "_")
         if self.state != before:
-            self._say(decision_line(observation.stamp_ns * 1e-9, sweep.sectors, decision))
+            self._say(decision_line(seconds(observation.stamp_ns), sweep.sectors, decision))

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
@@ -80,7 +81,7 @@ class Driver(Task):
     def _see(self, sweep: DeskewedScan, T_frame_odom: SE2, obstacles: ObstacleLayer) -> None:
         """Enter a sweep in the obstacle layer."""
         obstacles.update(
-            sweep.stamp_ns * 1e-9,
+            seconds(sweep.stamp_ns),
             T_frame_odom @ sweep.T_odom_lidar,
             T_frame_odom @ sweep.hits_odom,
             T_frame_odom @ sweep.passes_odom,

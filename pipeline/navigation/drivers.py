@@ -19,7 +19,7 @@ from turtlebag.pipeline.localisation.localisers import make_localiser
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
 from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.explore import ARRIVED, ExploreDriver
+from turtlebag.pipeline.navigation.explore import ExploreDriver
 from turtlebag.pipeline.navigation.goal_runner import Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
@@ -29,6 +29,7 @@ from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.dwa import Dwa
+from turtlebag.planners.control.goal_checker import PASSING
 from turtlebag.planners.control.interface import Controller, require_twist
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.control.pursuit import Pursuit
@@ -38,8 +39,8 @@ from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
-# Without a map: cells of the window, how far off its centre the robot may be; plans keep farther off.
-WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_INFLATION_M = 0.05, 1.0, 0.6
+# Without a map: cells of the window, and how far off its centre the robot may be.
+WINDOW_CELL_M, WINDOW_SHIFT_M = 0.05, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +94,14 @@ def make_navigator(
 def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:
     """A mapless driver, by odometry and scans alone; goals are in the odometry frame."""
     m = kit.config.mapless
-    plan = kit.config.plan.model_copy(update={"inflation_radius": MAPLESS_INFLATION_M})
-    own = {"controller": m.controller, "recovery": m.recovery, "plan": plan}
-    config = kit.config.model_copy(update=own)
+    config = kit.config.model_copy(update={"controller": m.controller, "recovery": m.recovery})
     window = RollingLayer(T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M)
     return NavigationDriver(kit.tools(window, config), kit.sensing, sequence)
 
 
 def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
     """A driver that maps what it can reach, until a stamp at the latest [s]."""
-    config = kit.config.model_copy(update={"goal_checker": ARRIVED})
+    config = kit.config.model_copy(update={"goal_checker": PASSING})
     one_cell = np.zeros((1, 1), dtype=np.bool_)  # before anything was mapped
     tools = kit.tools(ObstacleLayer(Costmap(one_cell, 1.0, SE2.identity())), config)
     return ExploreDriver(config.costmap, kit.sensing, online, tools, end_s)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
@@ -94,7 +95,7 @@ def _cut_short(stamp_ns: int, interrupted: Sequence[int]) -> str:
     """Why the run ends here though the driver is not done; empty when it does not."""
     if interrupted:
         return "the run was interrupted"
-    return f"the run ended after {MAX_SIMULATED_S:g} s" if stamp_ns > MAX_SIMULATED_S * 1e9 else ""
+    return f"the run ended after {MAX_SIMULATED_S:g} s" if stamp_ns > nanoseconds(MAX_SIMULATED_S) else ""
 
 
 def _owner(driver: Task, mission: Mission, takeovers: Source | None) -> CommandOwner:

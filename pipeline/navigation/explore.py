@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
@@ -18,16 +18,14 @@ from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.pipeline.slam.slam import SlamConfig
-from turtlebag.planners.control.goal_checker import GoalCheckerConfig
+from turtlebag.planners.control.goal_checker import STOPPED_V
+from turtlebag.planners.control.monitor import PADDING_M
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import next_view
 
-# Clearance beyond the robot's circumscribed radius that ways must have [m]; the map is made anew after this
-# long on the way to one place, too [s].
-MARGIN_M, LOOK_AFTER_S = 0.03, 12.0
-ARRIVED = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=math.pi, stop=False)
-"""A place to look from is passed, in any heading."""
+LOOK_AFTER_S = 12.0
+"""The map is made anew after this long on the way to one place, too."""
 
 
 class ExploreConfig(Settings, allow_inf_nan=False):
@@ -53,7 +51,7 @@ class ExploreDriver(Driver):
         super().__init__(sensing)
         self.online = online
         self._config, self.tools = config, tools
-        self._end_ns = round(duration_s * 1e9)
+        self._end_ns = nanoseconds(duration_s)
         self._bumps = BumpMemory(tools.model)
         self._way: _Way | None = None
         self._spent: list[Array] = []
@@ -101,7 +99,7 @@ class ExploreDriver(Driver):
 
     def _late(self, way: _Way, now: int) -> bool:
         """Whether to look at the map anew on the way: not in trouble, or its recoveries would never end."""
-        return now - way.since_ns > LOOK_AFTER_S * 1e9 and not way.runner.recovering
+        return now - way.since_ns > nanoseconds(LOOK_AFTER_S) and not way.runner.recovering
 
     def _back_off(self, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""
@@ -125,7 +123,7 @@ class ExploreDriver(Driver):
         publisher.map_to_odom(now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
         costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config), now)
-        radius = self.tools.model.circumscribed_radius + MARGIN_M
+        radius = self.tools.model.circumscribed_radius + PADDING_M
         goal = next_view(grid, costmap, self.estimate, radius, self._spent)
         if goal is None:
             return
@@ -156,5 +154,5 @@ class ExploreDriver(Driver):
     def _stop(self, observation: Observation) -> Twist:
         """Brake; the run is over when it was done and the robot stands."""
         self._last = self.tools.controller.brake(self._last)
-        self.finished = self.state == "done" and abs(observation.odometry.twist.v) < 1e-3
+        self.finished = self.state == "done" and abs(observation.odometry.twist.v) <= STOPPED_V
         return self._last

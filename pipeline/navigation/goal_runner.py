@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
+from turtlebag.planners.control.goal_checker import STOPPED_V, STOPPED_W, GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.interface import Controller, require_twist
-from turtlebag.planners.control.monitor import CollisionMonitor, moved
+from turtlebag.planners.control.monitor import PADDING_M, CollisionMonitor, moved
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import (
     FootprintSamples,
@@ -22,12 +23,12 @@ from turtlebag.planners.footprint import (
     sample_footprint,
 )
 from turtlebag.planners.global_plan import PlanConfig, plan_path
-from turtlebag.planners.obstacle_layer import ObstacleLayer
+from turtlebag.planners.obstacle_layer import ON_MAP, ObstacleLayer
 from turtlebag.planners.planner import NoPath
 from turtlebag.planners.tasks.patrol import Status
-from turtlebag.planners.tasks.recovery import PROGRESS_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
+from turtlebag.planners.tasks.recovery import ELSEWHERE_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
 
-LOOK_AHEAD_M = 2.5
+LOOK_AHEAD_M = ON_MAP.obstacle_range
 """Obstacles farther along the path are no reason to plan anew: on a map none is marked from farther off."""
 
 
@@ -122,7 +123,7 @@ class _Recovery:
         if self._at is not None:
             self._driven += float(np.linalg.norm(pose.xy - self._at.xy))
         self._at = pose
-        if self._driven > PROGRESS_M and self.manoeuvre is None:
+        if self._driven > ELSEWHERE_M and self.manoeuvre is None:
             self._driven = 0.0
             self.ladder.rest()
 
@@ -207,7 +208,7 @@ class GoalRunner:
         obstacles = self.tools.obstacles
         if obstacles.static is not route.static and route.short:
             return True
-        if not obstacles.marked or tick.now_ns - route.planned_ns < obstacles.marking.replan_s * 1e9:
+        if not obstacles.marked or tick.now_ns - route.planned_ns < nanoseconds(obstacles.marking.replan_s):
             return False
         costmap = obstacles.costmap
         poses = np.ascontiguousarray((costmap.T_grid_map @ route.poses).xyt)
@@ -215,7 +216,7 @@ class GoalRunner:
         clearance = path_clearance(
             costmap.clearance, costmap.resolution, self.tools.samples, poses, x, y, LOOK_AHEAD_M
         )
-        return bool(clearance < self.tools.monitor.margins.padding)
+        return bool(clearance < PADDING_M)
 
     def _guarded(self, wanted: Twist, tick: Tick) -> Twist:
         """The command that the collision monitor lets pass."""
@@ -227,7 +228,7 @@ class GoalRunner:
 
     def _held_up(self, tick: Tick, wanted: Twist) -> Verdict | None:
         """Recovery when the monitor holds the robot, or when it does not get on."""
-        moving = abs(wanted.v) > 0.005 or abs(wanted.w) > 0.03
+        moving = abs(wanted.v) > STOPPED_V or abs(wanted.w) > STOPPED_W
         if moving and self._recovery.watch.stuck(tick.now_ns, tick.pose):
             return self._recovery.start(tick, "stuck: the robot made no progress")
         if not moving:

@@ -10,17 +10,16 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel
+from turtlebag.pipeline.localisation.pose_hypotheses import NEIGHBOURS
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
-BINS, DILATION_BINS = 360, 2
-"""Bearings of a profile; a beam covers this many on each side."""
+BINS = 360
+"""Bearings of a profile; a beam stands for its NEIGHBOURS, too."""
 SHIFT_M = 0.06
 """A sweep that saw so much farther saw through the place."""
-NEAR_M = 1.5
-"""Points farther from the lidar are ignored: they are no reason to stop yet."""
 COMPANY, COMPANY_M = 3, 0.2
 """A moving point needs this many others nearby: a single one is noise."""
 STOP_M = 0.35
@@ -62,15 +61,13 @@ def profile(ends_lidar: Array) -> Array:
         bins = _bins(ends_lidar)
         np.minimum.at(ranges, bins, np.linalg.norm(ends_lidar, axis=1))
     ranges[np.isinf(ranges)] = 0.0
-    dilated = [np.roll(ranges, k) for k in range(-DILATION_BINS, DILATION_BINS + 1)]
+    dilated = [np.roll(ranges, k) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)]
     return np.asarray(np.min(dilated, axis=0))
 
 
 def moved_points(sweep: DeskewedScan, T_odom_lidar: SE2, ranges: Array) -> Array:
-    """Hits near the lidar (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
+    """Hits (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
     hits = sweep.hits_odom
-    near = np.linalg.norm(hits - sweep.T_odom_lidar.xy, axis=1) < NEAR_M
-    hits = hits[near]
     if len(hits) == 0:
         return np.zeros((0, 2))
     then = T_odom_lidar.inverse() @ hits

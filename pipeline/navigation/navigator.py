@@ -16,6 +16,7 @@ from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.planners.control.goal_checker import STOPPED_V
 from turtlebag.planners.global_plan import fits
 from turtlebag.planners.tasks.patrol import GoalSequence
 
@@ -70,7 +71,7 @@ class NavigationDriver(Driver):
         goal = self.sequence.update(now)
         self.goal_index = self.sequence.index if goal is not None else -1
         if self.sequence.finished:
-            return self._stop("done", finished=abs(self._last.v) < 1e-3)
+            return self._stop("done", finished=abs(self._last.v) <= STOPPED_V)
         if goal is None or T_frame_odom is None:
             self._forget_route()
             return self._stop("wait")

@@ -9,13 +9,9 @@ import numpy as np
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, Observation, Recording, Scan, Trajectory
+from turtlebag.pipeline.localisation.estimate import NARROW_M
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
-
-# Of fewer scans no map is drawn.
-LEAST_SCANS = 3
-# Scans taken so near to where the robot pushes against something are not drawn [m].
-HERE_M = 0.15
 
 
 class OnlineMap:
@@ -54,12 +50,12 @@ class OnlineMap:
         Wheels that turn on the spot bend the sweeps, by which each scan's beams are put in order.
         """
         if self.mapper is not None:
-            self.mapper.distrust(HERE_M)
+            self.mapper.distrust(NARROW_M)
 
     @property
     def ready(self) -> bool:
         """Whether there is enough to map."""
-        return self.mapper is not None and len(self.mapper) >= LEAST_SCANS
+        return self.mapper is not None and len(self.mapper) > 0
 
     def update(self) -> OccupancyGrid:
         """Draw what was seen so far."""

@@ -9,8 +9,9 @@ from enum import Enum, StrEnum, auto
 
 from pydantic import Field
 
-from turtlebag.datasets.durations import Seconds
+from turtlebag.datasets.durations import Seconds, nanoseconds, seconds
 from turtlebag.datasets.settings import Settings
+from turtlebag.pipeline.localisation.agreement import DOUBTS
 
 
 class State(StrEnum):
@@ -68,8 +69,6 @@ TRANSITIONS = {
 }
 
 
-DOUBTS = 2
-"""Filter updates in a row that report the robot lost before it stops."""
 SETTLED_S = 1.0
 """How long the cloud must be narrow and the scans agree before it drives on."""
 TRUST_S = 15.0
@@ -111,7 +110,7 @@ class RelocalisationStates:
         if self.state in (State.LOOK, State.ROAM):
             self._search(now_ns, narrow, good, updates)
             return self.state
-        if self.state is State.PUSHED and now_ns - self._since_ns > PUSHED_S * 1e9:
+        if self.state is State.PUSHED and now_ns - self._since_ns > nanoseconds(PUSHED_S):
             self.on(Event.TIME_OVER, now_ns, updates)
         self._count_doubts(now_ns, good, updates)
         return self.state
@@ -139,11 +138,11 @@ class RelocalisationStates:
         elif self._good_ns is None:
             self._good_ns = now_ns
         looking, config = self.state is State.LOOK, self.config
-        settled = self._good_ns is not None and now_ns - self._good_ns >= SETTLED_S * 1e9
-        over = (now_ns - self._since_ns) * 1e-9 >= (config.look if looking else config.roam)
+        settled = self._good_ns is not None and now_ns - self._good_ns >= nanoseconds(SETTLED_S)
+        over = seconds(now_ns - self._since_ns) >= (config.look if looking else config.roam)
         if updates > self._updates_then and (settled or (looking and over and narrow)):
             if not settled:
-                self._trusted_ns = now_ns + round(TRUST_S * 1e9)
+                self._trusted_ns = now_ns + nanoseconds(TRUST_S)
             self._restarts = 0
             self.on(Event.FOUND, now_ns, updates)
         elif over and not looking and self._restarts >= config.restarts:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from turtlebag.datasets.deskew import deskewed
+from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
 from turtlebag.planners.tasks.avoid import Sectors, read_sectors
@@ -41,7 +42,7 @@ class OdometryBuffer:
 
 def sweep_end_ns(scan: Scan) -> int:
     """Stamp of the end of a sweep [ns]."""
-    return scan.stamp_ns + round(scan.lidar.n_beams * scan.lidar.time_increment * 1e9)
+    return scan.stamp_ns + nanoseconds(scan.lidar.n_beams * scan.lidar.time_increment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class Sensing:
         self.odometry.add(odometry.stamp_ns, odometry.T_odom_base)
         if observation.scan is not None or self._heard_ns is None:
             self._heard_ns = observation.stamp_ns
-        self.silent_s = (observation.stamp_ns - self._heard_ns) * 1e-9
+        self.silent_s = seconds(observation.stamp_ns - self._heard_ns)
         if observation.scan is None:
             return None
         self.sweep = self._look(observation.scan)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import groupby
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.pipeline.terminal.messages import Simulated, length, number_of
 from turtlebag.planners.tasks.avoid import in_words
@@ -41,7 +42,7 @@ class News:
         if owner.owner != self._owner:
             self._owner = owner.owner
             does = "takes over" if owner.owner == "teleop" else "hands back"
-            self._tell(f"{stamp_ns * 1e-9:.1f} s: teleop {does}")
+            self._tell(f"{seconds(stamp_ns):.1f} s: teleop {does}")
         doing = in_words(owner.state)
         if sequence is not None:
             self._touched |= truth.contact_visible or truth.contact_low

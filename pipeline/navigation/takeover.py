@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol
 import yaml
 from pydantic import Field, model_validator
 
+from turtlebag.datasets.durations import LONGEST_S, nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, RobotModel, Twist
@@ -26,15 +27,11 @@ from turtlebag.sim.robots import PERIOD_S
 Owner = Literal["navigation", "teleop"]
 
 
-LATEST_S = 1e9
-"""Stamps are whole nanoseconds of 64 bits."""
-
-
 class Interval(Settings, allow_inf_nan=False):
     """A teleop command from `begin` until just before `end` [s, m/s, rad/s]."""
 
     begin: float = Field(ge=0.0)
-    end: float = Field(le=LATEST_S)
+    end: float = Field(le=LONGEST_S)
     v: float = 0.0
     w: float = 0.0
 
@@ -75,7 +72,7 @@ class Script:
     """Overrides by script. Stamps are compared in whole nanoseconds."""
 
     def __init__(self, script: tuple[Interval, ...]) -> None:
-        self._spans = [(round(i.begin * 1e9), round(i.end * 1e9), Twist(i.v, i.w)) for i in script]
+        self._spans = [(nanoseconds(i.begin), nanoseconds(i.end), Twist(i.v, i.w)) for i in script]
 
     def asked(self, stamp_ns: int) -> Twist | None:
         """The command of the interval that holds the stamp."""
@@ -152,9 +149,9 @@ class CommandOwner:
         return ramped(Twist(wanted.v * factor, wanted.w * factor), self._last, self._limits)
 
     def _note(self, stamp_ns: int, asked: Twist) -> None:
-        begin, end = round(stamp_ns * 1e-9, 9), round(stamp_ns * 1e-9 + PERIOD_S, 9)
+        begin, end = round(seconds(stamp_ns), 9), round(seconds(stamp_ns) + PERIOD_S, 9)
         last = self.asked[-1] if self.asked else None
-        if last is not None and (last.v, last.w) == (asked.v, asked.w) and begin - last.end < 1e-3:
+        if last is not None and (last.v, last.w) == (asked.v, asked.w) and begin - last.end < 0.5 * PERIOD_S:
             self.asked[-1] = last.model_copy(update={"end": end})
         else:
             self.asked.append(Interval(begin=begin, end=end, v=asked.v, w=asked.w))

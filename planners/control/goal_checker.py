@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from turtlebag.datasets.durations import Seconds
+from turtlebag.datasets.durations import Seconds, nanoseconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist, yaw_difference
@@ -39,6 +40,10 @@ class GoalCheckerConfig(Settings, allow_inf_nan=False):
         return self.xy_goal_tolerance or xy, self.yaw_goal_tolerance or yaw
 
 
+PASSING = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
+"""A place to look from is passed, in any heading."""
+
+
 class GoalChecker:
     """Watches one goal."""
 
@@ -59,4 +64,4 @@ class GoalChecker:
             return False
         if self._since_ns is None:
             self._since_ns = now_ns
-        return now_ns - self._since_ns >= self.config.hold * 1e9
+        return now_ns - self._since_ns >= nanoseconds(self.config.hold)

@@ -80,7 +80,7 @@ def ramped(target: Twist, last: Twist, limits: SpeedLimits) -> Twist:
     v = min(max(target.v, last.v - dv), last.v + dv)
     v = min(max(v, -limits.max_v), limits.max_v)
     wanted_w = target.w
-    if abs(target.v) > 1e-6 and target.v * v > 0.0:
+    if target.v * v > 0.0:
         wanted_w = target.w * min(1.0, v / target.v)
     w = min(max(wanted_w, last.w - dw), last.w + dw)
     return Twist(v, min(max(w, -limits.max_w), limits.max_w))
@@ -97,8 +97,8 @@ class Ramped:
         model: RobotModel,
         period: float,
         *,
-        max_v: float,
-        max_w: float,
+        max_v: float = math.inf,
+        max_w: float = math.inf,
         acceleration_share: float = ACCELERATION_SHARE,
     ) -> None:
         self.limits = SpeedLimits.of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,19 +14,10 @@ from turtlebag.planners.footprint import Field32, footprint_clearance, sample_fo
 
 STEP_M = 0.01
 """Spacing of the poses checked along the way."""
-
-
-class StoppingMargins(NamedTuple):
-    """How far from the points seen a command must be sure to end."""
-
-    padding: float = 0.02
-    """The footprint is checked this much larger [m]."""
-    reaction: float = 0.1
-    """Time at the commanded speed before braking is felt [s]."""
-    braking_share: float = ACCELERATION_SHARE
-
-
-USUAL_MARGINS = StoppingMargins()
+PADDING_M = 0.02
+"""The footprint is checked this much larger."""
+REACTION_S = 0.1
+"""Time at the commanded speed before braking is felt."""
 
 
 class CollisionMonitor:
@@ -37,12 +27,11 @@ class CollisionMonitor:
     keep-out areas that no lidar sees.
     """
 
-    def __init__(self, model: RobotModel, margins: StoppingMargins = USUAL_MARGINS) -> None:
-        self.margins = margins
-        self._footprint = padded(model.footprint, margins.padding)
-        self._reach = model.circumscribed_radius + margins.padding
+    def __init__(self, model: RobotModel) -> None:
+        self._footprint = padded(model.footprint, PADDING_M)
+        self._reach = model.circumscribed_radius + PADDING_M
         self._samples = sample_footprint(model)
-        self._braking = margins.braking_share * model.max_dv
+        self._braking = ACCELERATION_SHARE * model.max_dv
 
     def limit(self, command: Twist, points_base: Array) -> float:
         """Factor 0..1 for the command, from points (n, 2) in the base frame now.
@@ -66,12 +55,12 @@ class CollisionMonitor:
         if free >= horizon:
             return 1.0
         # The speed u from which it stops within the free way d: d = u t + u^2 / (2 b).
-        b, t = self._braking, self.margins.reaction
+        b, t = self._braking, REACTION_S
         allowed = -b * t + math.sqrt(b * b * t * t + 2.0 * b * free * speed)
         return min(1.0, allowed / speed)
 
     def _stopping_distance(self, speed: float) -> float:
-        return speed * self.margins.reaction + 0.5 * speed * speed / self._braking
+        return speed * REACTION_S + 0.5 * speed * speed / self._braking
 
     def limit_on_map(
         self, command: Twist, field: Field32, resolution: float, x: float, y: float, yaw: float

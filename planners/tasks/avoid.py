@@ -9,13 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Scan, Twist
 
 # The tutorial's numbers: something nearer ahead stops or slows the robot; speeds [m/s, rad/s].
 STOP_M, SLOW_M = 0.5, 1.0
 CRUISE_V, SLOW_V, SLOW_W, TURN_W = 0.2, 0.1, 0.3, 0.5
+# Sectors reach so far to both sides of left, front and right.
+SECTOR_DEG = 30.0
 
 
 class AvoidConfig(Settings):
@@ -51,15 +52,11 @@ def read_sectors(scan: Scan) -> Sectors:
     ranges = scan.ranges.astype(np.float64)
     ranges = np.where(np.isfinite(ranges) & (ranges >= 0.01), ranges, np.inf)
 
-    def least(low: float, high: float) -> Array:
-        return ranges[(degrees >= low) & (degrees <= high)]
+    def least(centre: float) -> float:
+        off = np.abs((degrees - centre + 180.0) % 360.0 - 180.0)
+        return float(ranges.min(where=off <= SECTOR_DEG, initial=math.inf))
 
-    front = np.concatenate([least(330.0, 360.0), least(0.0, 30.0)])
-    return Sectors(_least(least(60.0, 120.0)), _least(front), _least(least(240.0, 300.0)))
-
-
-def _least(ranges: Array) -> float:
-    return float(ranges.min()) if len(ranges) else math.inf
+    return Sectors(least(90.0), least(0.0), least(270.0))
 
 
 def tutorial_rule(sectors: Sectors) -> Decision:

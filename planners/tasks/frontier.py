@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, ways_from
+from turtlebag.planners.tasks.recovery import ELSEWHERE_M
 
 LEAST_M = 0.4
-"""Shorter frontiers are gaps between beams, not openings."""
+"""Shorter frontiers are gaps between beams, not openings.
+
+As short as a burger is wide, it explores the house in 546 s for 427, and touches tables 4 times for none."""
 VIEW_M = 0.8
 """From how near a frontier is looked at."""
-MOST_GAIN_M = 3.0
-"""A frontier is worth as much way as it is long, and so much at most."""
-SPENT_M = 0.5
-"""No second look from this near a place where one did not help."""
 
 
 def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
@@ -38,7 +37,7 @@ def next_view(
     """A pose from which to look at the most rewarding frontier; None when no frontier can be got near.
 
     `costmap` is that of the grid, with unknown cells blocked; `radius` the clearance the robot needs [m];
-    `spent` are places (2,) looked from before.
+    `spent` are places (2,) looked from before: no second look from near there.
     """
     labels = frontiers(grid, LEAST_M)
     ways = ways_from(costmap, T_map_base, radius)
@@ -49,13 +48,13 @@ def next_view(
     cells = np.argwhere(candidates)
     places = grid.center_of(cells)
     for place in spent:
-        fresh = np.linalg.norm(places - place, axis=1) > SPENT_M
+        fresh = np.linalg.norm(places - place, axis=1) > ELSEWHERE_M
         cells, places = cells[fresh], places[fresh]
     if len(cells) == 0:
         return None
     lengths = np.bincount(labels.ravel()) * grid.resolution
     target = np.stack([rows[cells[:, 0], cells[:, 1]], cols[cells[:, 0], cells[:, 1]]], axis=-1)
-    worth = np.minimum(lengths[labels[target[:, 0], target[:, 1]]], MOST_GAIN_M)
-    best = int(np.argmin(ways[cells[:, 0], cells[:, 1]] - worth))
+    # A frontier is worth as much way as it is long.
+    best = int(np.argmin(ways[cells[:, 0], cells[:, 1]] - lengths[labels[target[:, 0], target[:, 1]]]))
     ahead = grid.center_of(target[best]) - places[best]
     return SE2.from_xyt(places[best, 0], places[best, 1], math.atan2(ahead[1], ahead[0]))

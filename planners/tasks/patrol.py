@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from turtlebag.datasets.durations import Seconds
+from turtlebag.datasets.durations import Seconds, nanoseconds, seconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -45,7 +45,7 @@ class GoalOutcome:
     @property
     def time_s(self) -> float:
         """How long the goal was pursued [s]."""
-        return (self.ended_ns - self.started_ns) * 1e-9
+        return seconds(self.ended_ns - self.started_ns)
 
 
 class GoalSequence:
@@ -97,8 +97,10 @@ class GoalSequence:
         `trouble` is added to the reason of a timeout.
         """
         if self._resume_ns is None:
-            self._resume_ns = now_ns + round(self.config.initial_wait * 1e9)
-        if self._active and now_ns - self._started_ns - self._postponed_ns >= self.config.timeout * 1e9:
+            self._resume_ns = now_ns + nanoseconds(self.config.initial_wait)
+        if self._active and now_ns - self._started_ns - self._postponed_ns >= nanoseconds(
+            self.config.timeout
+        ):
             late = f"not reached within {self.config.timeout:g} s"
             self.close("timeout", f"{late}: {trouble}" if trouble else late, now_ns)
         while (
@@ -127,7 +129,7 @@ class GoalSequence:
         pause = 0.0
         if status == "reached":
             pause = self.config.pause if waypoint.wait is None else waypoint.wait
-        self._resume_ns = now_ns + round(pause * 1e9)
+        self._resume_ns = now_ns + nanoseconds(pause)
         last = self.index + 1 == len(self._queue)
         if last and self.config.retry_missed and not self._retried:
             self._retried = True

@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 import numpy as np
 from pydantic import Field
 
-from turtlebag.datasets.durations import LONGEST_S, Seconds
+from turtlebag.datasets.durations import LONGEST_S, Seconds, nanoseconds
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
@@ -18,8 +18,9 @@ from turtlebag.datasets.types import Twist
 Kind = Literal["wait", "clear", "back_up", "rotate"]
 
 
-# Less of a move [m] or a turn [rad] is none; driven so far [m] on, the ladder starts from its foot again.
-MOVED_M, MOVED_RAD, PROGRESS_M = 0.06, 0.25, 0.5
+# Less of a move [m] or a turn [rad] is none; so far [m] on is elsewhere: there the ladder starts from its
+# foot again, and a look shows what one from here did not.
+MOVED_M, MOVED_RAD, ELSEWHERE_M = 0.06, 0.25, 0.5
 ROTATE_W = 0.6
 """How fast it turns [rad/s]."""
 
@@ -126,7 +127,7 @@ class Ladder:
         self._rung += 1
         self.used += 1
         if rung.kind == "wait":
-            return Wait(now_ns + round(rung.amount * 1e9))
+            return Wait(now_ns + nanoseconds(rung.amount))
         if rung.kind == "clear":
             self._clear()
             return Wait(now_ns + 300_000_000, "recover_clear")
@@ -140,7 +141,7 @@ class Ladder:
             speed, amount = ROTATE_W, min(rung.amount, math.pi - 0.1)
             first = speed if self.used % 2 else -speed
             ways = {"recover_rotate": Twist(0.0, first), "recover_rotate_back": Twist(0.0, -first)}
-        limit = now_ns + round((amount / speed + 1.0) * 1e9)
+        limit = now_ns + nanoseconds(amount / speed + 1.0)
         rooms = {name: room(twist, amount) for name, twist in ways.items()}
         best = max(rooms, key=lambda name: rooms[name])
         if rooms[best] == -math.inf:
@@ -167,7 +168,7 @@ class ProgressWatch:
             moved = float(np.linalg.norm(pose.xy - self._pose.xy)) > self._moved_m
             turned = abs(float(wrap(pose.yaw - self._pose.yaw))) > self._turned_rad
             stuck = not (moved or turned)
-            if stuck and now_ns - self._since_ns <= self._stuck_s * 1e9:
+            if stuck and now_ns - self._since_ns <= nanoseconds(self._stuck_s):
                 return False
         self._pose, self._since_ns = pose, now_ns
         return stuck

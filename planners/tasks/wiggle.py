@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.types import Twist
+from turtlebag.planners.tasks.recovery import ROTATE_W
 
-ANGLE, W = 1.2, 0.7
-"""It turns this far [rad] to the left, twice as far to the right, and so on, at this speed [rad/s]."""
+ANGLE = 1.2
+"""It turns this far [rad] to the left, twice as far to the right, and so on."""
 LEAST_S, MOST_S = 3.0, 25.0
 """Minimum and maximum duration, whatever the cloud does."""
 
@@ -23,12 +25,11 @@ class Wiggle:
         """The turn of this tick; None when the cloud is `settled` or the time is over."""
         if self._start_ns is None:
             self._start_ns = now_ns
-        t = (now_ns - self._start_ns) * 1e-9
+        t = seconds(now_ns - self._start_ns)
         if t >= MOST_S:
             self.gave_up = not settled
             return None
         if settled and t >= LEAST_S:
             return None
         # A triangle wave of heading: a quarter up, a half down, a quarter up.
-        phase = (t * W / (4.0 * ANGLE)) % 1.0
-        return Twist(0.0, math.copysign(W, 1.0 if phase < 0.25 or phase >= 0.75 else -1.0))
+        return Twist(0.0, math.copysign(ROTATE_W, math.cos(0.5 * math.pi * t * ROTATE_W / ANGLE)))

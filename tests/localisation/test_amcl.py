@@ -159,12 +159,12 @@ def test_scans_that_agree_less_than_they_once_did_are_worth_a_second_look_now_an
     amcl.watch.fast = 0.85 * amcl.watch.best  # the twin of a place: nothing is wrong enough to be lost
     assert amcl.agrees
     shares = []
-    for _ in range(60):
+    for _ in range(70):
         amcl.watch.updates += 1
         shares.append(amcl.watch.search_share())
     looks = np.flatnonzero(shares)
     assert len(looks) == 3
-    assert np.all(np.diff(looks) == 24)
+    assert np.all(np.diff(looks) == 32)
     # The search finds no better place than the right one, and the estimate stays.
     assert errors(amcl, log[30:60])[:, 0].max() < 0.05
 

@@ -98,7 +98,7 @@ def test_a_push_of_a_robot_in_company_is_followed(room, standing):
 
 def test_without_the_watch_the_push_would_not_be_noticed(room, standing, monkeypatch):
     amcl, rng = standing
-    monkeypatch.setattr("turtlebag.pipeline.localisation.push_detection.CHANGED_SHARE", 2.0)
+    monkeypatch.setattr("turtlebag.pipeline.localisation.push_detection.DOUBTFUL", 2.0)
     there = PLACE @ SE2.from_xyt(0.19, 0.0, 0.0)
     assert not any(amcl.update(scan_at(room, there, rng), ODOMETRY) for _ in range(25))
     assert error(amcl, there)[0] == pytest.approx(0.19, abs=0.02)

@@ -54,7 +54,7 @@ def test_beams_ends_are_looked_up_in_the_table_and_outside_counts_as_told():
     assert inside.all(axis=1).sum() > 20 < (~inside).any(axis=1).sum()
 
 
-def walk(field, frame, x, y, ux, uy, end, least):
+def walk(field, frame, x, y, ux, uy, end):
     """Where a beam in the frame of the field first is in a cell by a wall: its row, column; None by `end`."""
     at, cell = 0.0, 1.0 / frame[3]
     while at < end:
@@ -64,7 +64,7 @@ def walk(field, frame, x, y, ux, uy, end, least):
         d = field[int(gy), int(gx)]
         if d < 0.5 * cell:
             return int(gy), int(gx)
-        at += max(d - 0.75 * cell, least * cell)
+        at += max(d - 0.75 * cell, 0.5 * cell)
     return None
 
 
@@ -83,7 +83,7 @@ def test_expected_ranges_end_at_the_first_wall_on_the_beam(seed):
         T = T_field_map @ SE2(pose)
         for j in range(9):
             (x, y), (ux, uy) = T @ starts[j], T @ directions[j] - T @ np.zeros(2)
-            if hit := walk(field.distance, frame, x, y, ux, uy, 2.2, 0.25):
+            if hit := walk(field.distance, frame, x, y, ux, uy, 2.2):
                 row, col = hit
                 along = ((col + 0.5) * cell - x) * ux + ((row + 0.5) * cell - y) * uy
                 expected[i, j] = np.clip(along, 0.0, 2.2)
@@ -108,9 +108,7 @@ def test_a_beam_is_as_likely_as_its_path_and_its_end_say(seed):
             start, end = T @ starts[j], T @ (starts[j] + ways[j])
             length = np.linalg.norm(end - start)
             ux, uy = (end - start) / length
-            blocked = (
-                walk(field.distance, frame, *start, ux, uy, length - search.PATH_SLACK_M, 0.5) is not None
-            )
+            blocked = walk(field.distance, frame, *start, ux, uy, length - search.PATH_SLACK_M) is not None
             if j >= 7:
                 expected[i, j] = search.P_MISSED if blocked else 1.0 - search.P_MISSED
                 continue

@@ -11,7 +11,6 @@ from turtlebag.pipeline.navigation.drivers import Kit, make_explorer
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.planners.control.monitor import StoppingMargins
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
@@ -59,8 +58,6 @@ def test_exploring_ends_in_time_when_no_scan_ever_comes():
 
 class Holding:
     """A collision monitor that lets nothing pass but standing still."""
-
-    margins = StoppingMargins()
 
     def limit(self, wanted, points_base):
         return float(wanted.v == 0.0 and wanted.w == 0.0)

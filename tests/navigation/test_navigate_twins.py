@@ -16,7 +16,7 @@ from turtlebag.pipeline.localisation.global_search import GlobalSearch
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.pose_hypotheses import (
     ALIKE,
-    SCANS,
+    SETTLING,
     Aliasing,
     Keyframe,
     PoseHypotheses,
@@ -201,7 +201,7 @@ def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
 
 def test_a_hypothesis_that_is_left_behind_over_several_scans_is_dropped():
     hypotheses = PoseHypotheses([SE2.identity(), TWIN, SE2.from_xyt(1.0, 0.0, 0.0)])
-    for _ in range(SCANS - 1):
+    for _ in range(SETTLING - 1):
         assert hypotheses.judge(np.array([0.8, 0.88, 0.5])) is None
         assert len(hypotheses.poses) == 3
     assert hypotheses.judge(np.array([0.84, 0.88, 0.5])) is TWIN

@@ -178,7 +178,7 @@ def test_a_wiggle_is_a_triangle_wave_between_its_angles():
         heading += wiggle.command(5 * S + round(k * dt * S), False).w * dt
         seen.append(heading)
     assert (max(seen), min(seen)) == pytest.approx((1.2, -1.2), abs=0.02)
-    assert seen[round(1.2 / 0.7 / dt)] == pytest.approx(1.2, abs=0.02)
+    assert seen[round(1.2 / 0.6 / dt)] == pytest.approx(1.2, abs=0.02)
     assert (wiggle.command(30 * S, False), wiggle.gave_up) == (None, True)
     short = Wiggle()
     assert [short.command(t, True) is None for t in (0, 3 * S - 1, 3 * S)] == [False, False, True]
