@@ -39,8 +39,8 @@ from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
-# Without a map: cells of the window, and how far off its centre the robot may be.
-WINDOW_CELL_M, WINDOW_SHIFT_M = 0.05, 1.0
+# Without a map: cells of the window, how far off its centre the robot may be; plans keep farther off.
+WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_INFLATION_M = 0.05, 1.0, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,9 @@ def make_navigator(
 def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:
     """A mapless driver, by odometry and scans alone; goals are in the odometry frame."""
     m = kit.config.mapless
-    config = kit.config.model_copy(update={"controller": m.controller, "recovery": m.recovery})
+    plan = kit.config.plan.model_copy(update={"inflation_radius": MAPLESS_INFLATION_M})
+    own = {"controller": m.controller, "recovery": m.recovery, "plan": plan}
+    config = kit.config.model_copy(update=own)
     window = RollingLayer(T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M)
     return NavigationDriver(kit.tools(window, config), kit.sensing, sequence)
 
