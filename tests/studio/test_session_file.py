@@ -116,7 +116,7 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
         ),
         (HEAD + "inputs:\n- {at: 2, do: end}\n- {at: 3, do: avoid}\n", "input 2: comes after"),
         (HEAD + "inputs:\n- {begin: 2, end: 1}\n", "input 1"),
-        (HEAD + "inputs:\n- {begin: 2, end: 1.0e+8}\n", "input 1: end: must be at most"),
+        (HEAD + "inputs:\n- {begin: 2, end: 1.0e+8}\n", "input 1: end: Input should be less than"),
         (HEAD + "inputs:\n- {begin: 0, end: 2}\n- {begin: 1, end: 3}\n", "overlap"),
         (HEAD + "inputs:\n- {begin: 0, end: 1, u: 3}\n", "u: unknown key"),
         (HEAD.replace("empty", "nowhere"), "unknown world 'nowhere'"),
