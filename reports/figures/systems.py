@@ -67,7 +67,8 @@ def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], la
 def walls(a: OccupancyGrid, b: OccupancyGrid, names: tuple[str, str], number: int = 1) -> Figure:
     """Occupied cells of both: grey where the other has one within a cell, else in the system's colour; that
     of the second by its number."""
-    figure, axes = map_figure(view_box(a))
+    x0, x1, y0, y1 = zip(view_box(a), view_box(b), strict=True)
+    figure, axes = map_figure((min(x0), max(x1), min(y0), max(y1)))
     for grid, other, colour in ((b, a, _colour(number)), (a, b, _colour(0))):
         image = np.zeros((*grid.shape, 4))
         cells, shared = np.argwhere(occupied(grid)), walls_in(grid, other)

@@ -12,6 +12,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.compare import compare_outputs
 from turtlebag.reports.compare import changed_settings, map_overlap
+from turtlebag.reports.figures.systems import walls
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +97,19 @@ def test_map_overlap_counts_cells_in_metres_not_by_index():
     assert map_overlap(grid, cut) == (count, 0, 0)
     empty = OccupancyGrid(np.zeros_like(grid.cells), 0.05, grid.T_map_grid)
     assert map_overlap(grid, empty) == (0, count, 0)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_walls_of_both_maps_are_in_the_picture_however_far_apart(turned):
+    near, far = np.zeros((20, 20), dtype=np.int8), np.zeros((20, 20), dtype=np.int8)
+    near[5, 5] = far[15, 15] = 100
+    far_off = SE2.from_xyt(8.0, -4.0, 0.0)
+    grids = [OccupancyGrid(near, 0.05, SE2.identity()), OccupancyGrid(far, 0.05, far_off)]
+    axes = walls(*(grids[::-1] if turned else grids), ("A", "B")).axes[0]
+    for grid, cell in zip(grids, ([5, 5], [15, 15]), strict=True):
+        x, y = grid.center_of(np.array(cell))
+        assert axes.get_xlim()[0] < x < axes.get_xlim()[1]
+        assert axes.get_ylim()[0] < y < axes.get_ylim()[1]
 
 
 def test_a_comparison_says_how_both_were_made_and_whether_of_the_same_recording(tmp_path):
