@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
@@ -64,9 +65,19 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
 
 def fill(template: str, **values: object) -> str:
     """A template of this package with the style and script all pages share."""
-    folder = files("turtlebag.reports") / "templates"
+    style_text, script = (Markup(_text(name)) for name in ("report.css", "report.js"))
+    return _environment().get_template(template).render(style=style_text, script=script, **values)
+
+
+def _text(name: str) -> str:
+    return (files("turtlebag.reports") / "templates" / name).read_text()
+
+
+@cache
+def _environment() -> Environment:
+    """Compiling the templates takes longer than filling them."""
     environment = Environment(
-        loader=FunctionLoader(lambda name: (folder / name).read_text()),
+        loader=FunctionLoader(_text),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -75,8 +86,7 @@ def fill(template: str, **values: object) -> str:
     environment.filters["themed"] = themed
     environment.filters["explained"] = explained
     environment.filters["short"] = lambda digest: digest[:12]
-    style_text, script = (Markup((folder / name).read_text()) for name in ("report.css", "report.js"))
-    return environment.get_template(template).render(style=style_text, script=script, **values)
+    return environment
 
 
 def themed(svg: str) -> Markup:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from turtlebag.datasets.yaml_files import DUMPER, LOADER
+
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
@@ -113,7 +115,7 @@ def bag_metadata(
                     "name": name,
                     "type": msgtype,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": yaml.safe_load(qos) or [] if qos else [],
+                    "offered_qos_profiles": yaml.load(qos, Loader=LOADER) or [] if qos else [],
                     "type_description_hash": type_hash,
                 },
                 "message_count": count,
@@ -136,7 +138,7 @@ def bag_metadata(
     }
 
 
-class _PlainDumper(yaml.SafeDumper):
+class _PlainDumper(DUMPER):
     """No anchors: rosbag2 reads them, people do not."""
 
     def ignore_aliases(self, data: Any) -> bool:
