@@ -42,8 +42,9 @@ class Player:
         self._times = np.maximum.accumulate(recording.stamps_ns)
         self._odometry = recording.odometry
         if recording.odometry is None and recording.T_odom_base is not None:
-            stamps, first = np.unique(self._times, return_index=True)
-            self._odometry = Trajectory(stamps, recording.T_odom_base[first])
+            stamps = np.unique(self._times)
+            newest = np.searchsorted(self._times, stamps, side="right") - 1
+            self._odometry = Trajectory(stamps, recording.T_odom_base[newest])
         self.start_ns, self.end_ns = int(self._times[0]), int(self._times[-1])
         self._height_m = 2.0 * min(recording.lidar.range_max, _WIDEST_M)
 

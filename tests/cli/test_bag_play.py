@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.bag_samples import pose, stamp, write_drive
+from tests.helpers.carmen_lines import flaser, write
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.terminal.drawing import Canvas
@@ -36,6 +37,20 @@ def test_clock_speed_command_and_pose(player):
     moved = (pose(84).inverse() @ pose(90)).xyt / 0.2
     assert f"v {moved[0]:+.2f} m/s w +0.10 rad/s" in frame.status
     assert "cmd +0.20 +0.10" in frame.status
+
+
+def test_a_log_whose_clock_goes_back_is_shown_with_the_newest_scan_where_that_was_taken(tmp_path):
+    stamps = (1.0, 2.0, 1.5, 1.8, 3.0)
+    lines = (flaser([2.0] * 180, (k, 0, 0), (k, 0, 0), f"{t:.6f}") for k, t in enumerate(stamps))
+    player = Player(write(tmp_path, "".join(lines)))
+    assert "odom x +3.00" in player.frame(2 * 10**9).status
+    assert "odom x +3.50" in player.frame(2_500_000_000).status
+    assert "odom x +4.00" in player.frame(player.end_ns).status
+
+
+def test_a_log_of_one_scan_is_shown(tmp_path):
+    player = Player(write(tmp_path, flaser([2.0] * 180, (1, 0, 0), (1, 0, 0))))
+    assert "odom x +1.00 y +0.00 yaw   +0 deg  v +0.00" in next(frames(player, rate=1.0, every_s=0.1)).status
 
 
 def test_the_drawing_holds_the_robot_in_the_middle_and_its_scan(player):
