@@ -32,6 +32,7 @@ def deskewed(beams: Array, fractions: Array, T_base_lidar: Array, motion: Array)
         f -= k
         if k != arc:
             arc = k
+            x0, y0, yaw0 = 0.0, 0.0, 0.0
             if k > 0:
                 x0, y0, yaw0 = motion[k - 1, 0], motion[k - 1, 1], motion[k - 1, 2]
             c0, s0 = np.cos(yaw0), np.sin(yaw0)

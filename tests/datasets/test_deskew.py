@@ -37,6 +37,14 @@ def test_each_beam_is_sent_from_the_arc_between_two_knots(motion):
         np.testing.assert_allclose(directions[i], T_lidar[:2, :2] @ BEAMS[i], atol=1e-8)
 
 
+def test_the_order_of_the_beams_does_not_matter():
+    motion = np.array([(0.1, 0.0, 0.4), (0.15, 0.1, 0.2), (0.1, 0.2, 1.0)])
+    forth = deskewed(BEAMS, FRACTIONS, T_BASE_LIDAR.xyt, motion)
+    back = deskewed(BEAMS[::-1].copy(), FRACTIONS[::-1].copy(), T_BASE_LIDAR.xyt, motion)
+    for one, other in zip(forth, back, strict=True):
+        assert np.array_equal(one, other[::-1])
+
+
 def test_no_beams_are_no_beams():
     origins, directions = deskewed(BEAMS[:0], FRACTIONS[:0], T_BASE_LIDAR.xyt, np.zeros((1, 3)))
     assert origins.shape == directions.shape == (0, 2)
