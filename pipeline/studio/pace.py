@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from turtlebag.pipeline.studio.inputs import Button, Speed
@@ -26,10 +27,10 @@ class Pace:
 class Pacer:
     """Of ticks that are `period_s` of simulated time apart."""
 
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
+    def __init__(self, period_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._period_s, self._clock = period_s, clock
         self._asked, self._paused, self._single = 1.0, False, 0
-        self._due = time.monotonic()
+        self._due = clock()
         self._ticks: deque[tuple[float, int]] = deque()
 
     def control(self, asked: Button | Speed) -> None:
@@ -41,14 +42,14 @@ class Pacer:
             self._asked = asked.factor
         else:
             self._paused, self._single = asked.do == "pause", 0
-        self._due = time.monotonic()
+        self._due = self._clock()
         self._ticks.clear()
 
     def wait_s(self) -> float | None:
         """How long until the next tick is due; None while none will be."""
         if self._paused:
             return 0.0 if self._single else None
-        return 0.0 if self._asked == 0.0 else max(self._due - time.monotonic(), 0.0)
+        return 0.0 if self._asked == 0.0 else max(self._due - self._clock(), 0.0)
 
     def take(self) -> bool:
         """Whether a tick is due; if so, it is taken as done, and the next one is due later."""
@@ -58,14 +59,14 @@ class Pacer:
             self._single -= 1
         elif self._asked:
             self._due += self._period_s / self._asked
-            now = time.monotonic()
+            now = self._clock()
             if now - self._due > LATE_S:
                 self._due = now
         return True
 
     def count(self, stamp_ns: int) -> None:
         """A tick that led to this simulated time is over."""
-        now = time.monotonic()
+        now = self._clock()
         self._ticks.append((now, stamp_ns))
         while now - self._ticks[0][0] > MEASURED_S and len(self._ticks) > 2:
             self._ticks.popleft()

@@ -90,7 +90,7 @@ class SessionThread:
             while not self._over and not self._session.ended:
                 self._do_what_is_asked()
                 self._stop_unless_driven()
-                if not self._over and not self._session.idle and self._pacer.take():
+                if not self._over and self._pacer.take() and not self._session.idle:
                     self._begin("tick")
                     self._session.tick()
                     self._pacer.count(self._session.stamp_ns)
