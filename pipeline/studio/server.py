@@ -33,6 +33,8 @@ GIANT_BYTES = 1024 * 1024
 PING_S = 20.0
 """A client that does not answer for so long is gone."""
 IDLE_S = 30.0
+CLOSING_S = 1.0
+"""So long the pages have to close in good order."""
 LOOK_S, EXCUSE_EVERY = 0.05, 10
 """How often to look whether the session is over, and after how many looks to tell what keeps it."""
 REFUSED, TRY_LATER = 1008, 1013
@@ -64,7 +66,7 @@ class Studio:
         await asyncio.to_thread(self._thread.end)
         for viewer in list(self._viewers):
             viewer.part(1001, reason)
-        patience = self._loop.time() + 1.0
+        patience = self._loop.time() + CLOSING_S
         while self._viewers and self._loop.time() < patience:
             await asyncio.sleep(0.02)
         for viewer in list(self._viewers):

@@ -7,6 +7,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from tornado.ioloop import IOLoop
 from tornado.iostream import IOStream
 
 from tests.studio.fakes import FakeSession, Served, answers, connect, run
@@ -46,7 +47,7 @@ def test_two_hundred_connections_and_sixteen_of_them_watch(served):
             stream.close()
 
     run(crowd())
-    time.sleep(0.5)
+    time.sleep(0.2)
     assert answers(served)
 
 
@@ -75,28 +76,29 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
 
     session.view = noisy
     monkeypatch.setattr(frames_module, "GRID_BYTES_A_SECOND", 1e9)
+    monkeypatch.setattr(server, "CLOSING_S", 0.2)
     encode = server.Frames.frame
     monkeypatch.setattr(server.Frames, "frame", lambda self, *a: frames.append(id(self)) or encode(self, *a))
 
     async def watch():
         client = await connect(served.url)
-        await client.read_for(3.0)
+        await client.read_for(1.5)
         return client
 
     with Served(session) as served:
         silent = [deaf(served) for _ in range(5)]
-        time.sleep(1.0)
+        time.sleep(0.6)
         before = len(frames)
         client = run(watch())
         gaps = np.diff(client.arrivals[1:])
         assert np.median(gaps) < 0.13
         assert gaps.max() < 0.5
-        # In those three seconds the deaf were not even written for: nothing piles up.
+        # Meanwhile the deaf were not even written for: nothing piles up.
         assert len(frames) - before < 1.2 * gaps.size + 10
         assert 0.8 < client.picture.head["factor"] < 1.2
         begun = time.monotonic()
         served.stop()
-        assert time.monotonic() - begun < 3.0
+        assert time.monotonic() - begun < 2.0
     for one in silent:
         one.close()
     assert served.failure is None
@@ -106,6 +108,13 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
 @pytest.mark.slow
 def test_who_does_not_answer_pings_is_gone(monkeypatch):
     monkeypatch.setattr(server, "PING_S", 0.3)
+    add_timeout = IOLoop.add_timeout
+
+    def sooner(loop, deadline, *rest):
+        """Tornado gives a page five seconds to close in good order; here it is half a second."""
+        return add_timeout(loop, min(deadline, loop.time() + 0.5), *rest)
+
+    monkeypatch.setattr(IOLoop, "add_timeout", sooner)
 
     async def come_and_see():
         client = await connect(served.url)
@@ -115,7 +124,6 @@ def test_who_does_not_answer_pings_is_gone(monkeypatch):
         one = deaf(served)
         time.sleep(0.2)
         assert not run(come_and_see())
-        # Two pings, and the five seconds that a page is given to close in good order.
-        time.sleep(6.0)
+        time.sleep(1.5)  # two pings, and the time to close
         assert run(come_and_see())
         one.close()
