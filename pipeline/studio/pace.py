@@ -36,7 +36,7 @@ class Pacer:
     def control(self, asked: Button | Speed) -> None:
         """Stand still, go on, do one tick, or pass at another speed."""
         if asked.do == "step":
-            self._single += self._paused
+            self._single += 1  # looked at while paused only, and a pause begins with none
             return
         if isinstance(asked, Speed):
             self._asked = asked.factor

@@ -77,6 +77,9 @@ def test_while_it_is_paused_only_single_ticks_are_due(clock):
     assert clock.pacer.wait_s() == 0.0
     assert clock.ticks() == 3
     clock.asked("step")
+    clock.asked("pause")
+    assert clock.ticks() == 0
+    clock.asked("step")
     clock.asked("resume")
     assert clock.ticks() == 1  # neither the step nor the pause is made up for
     assert clock.over(1.0) == 32
