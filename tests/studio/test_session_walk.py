@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.studio.walk import at_the_studio, differences, files, silent
+from tests.studio.walk import ROOM, at_the_studio, differences, files, silent
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.grid import FREE
 from turtlebag.datasets.maps import load_map
@@ -16,7 +16,7 @@ from turtlebag.pipeline.stages.studio import replay
 from turtlebag.planners.tasks.waypoints import load_waypoints
 from turtlebag.sim.worlds import load_world
 
-pytestmark = [pytest.mark.slow, pytest.mark.longest]
+pytestmark = pytest.mark.slow
 
 STEP_V, STEP_W = 0.01, 0.1
 
@@ -26,11 +26,11 @@ def free_area(view):
 
 
 def drive_by_keys(person):
-    """Along the west side of the arena, twelve presses of W and some of A and D."""
+    """About the room, with presses of W and some of A and D."""
     for press in range(1, 19):
         person.do("drive", v=press * STEP_V, w=0.0)
-        person.wait(0.2)
-    for w, seconds in ((0.0, 2.0), (4 * STEP_W, 6.0), (0.0, 4.0), (-3 * STEP_W, 4.0), (0.0, 1.0)):
+        person.wait(0.1)
+    for w, seconds in ((0.0, 1.0), (7 * STEP_W, 3.0), (0.0, 2.0), (-3 * STEP_W, 2.0)):
         person.do("drive", v=0.18, w=w)
         person.wait(seconds)
     person.do("stop")
@@ -40,15 +40,17 @@ def drive_by_keys(person):
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory):
-    """A session that walks the tutorial in the arena: its folder, and what was seen on the way."""
-    out, seen = tmp_path_factory.mktemp("walk") / "live", {}
-    with at_the_studio(out) as person:
+    """A session that walks the tutorial in a room: its folder, and what was seen on the way."""
+    folder, seen = tmp_path_factory.mktemp("walk"), {}
+    out, world = folder / "live", folder / "room.yaml"
+    world.write_text(ROOM)
+    with at_the_studio(out, str(world)) as person:
         person.do("record", name="drive")
         person.do("map_start")
         person.wait(1.0)
         seen["before"] = free_area(person.view)
         person.do("explore")
-        person.wait(20.0)
+        person.wait(4.0)
         person.do("cancel")
         seen["early"] = free_area(person.view)
         drive_by_keys(person)
@@ -65,13 +67,13 @@ def walked(tmp_path_factory):
         person.do("wiggle")
         assert person.until_done(30.0) is not None
         seen["wiggled"] = person.view
-        person.do("goal", pose=[-1.5, -0.5, 1.57])
+        person.do("goal", pose=[1.2, -0.8, 1.57])
         assert person.until_done(120.0) is not None
         seen["there"] = person.view
-        places = [{"pose": [0.5, -1.8, 0.0]}, {"pose": [1.8, -0.5, 1.57], "wait": 2.0}]
+        places = [{"pose": [0.5, 0.8, 3.14]}, {"pose": [-0.8, 0.4, -1.57], "wait": 2.0}]
         person.do("waypoints_save", name="two", waypoints=places)
         person.do("patrol", waypoints=places, laps=1)
-        person.wait(10.0)
+        person.wait(5.0)
         seen["underway"] = person.view
         assert person.until_done(120.0) is not None
         seen["patrolled"] = person.view
@@ -82,7 +84,7 @@ def walked(tmp_path_factory):
 def test_the_map_grows_and_is_one_of_the_world(walked):
     out, seen = walked
     assert seen["before"] < seen["early"] < seen["grown"]
-    true = load_world("turtlebot3_world").rasterize(0.172)
+    true = load_world(str(out.with_name("room.yaml"))).rasterize(0.172)
     assert seen["grown"] > 0.9 * np.count_nonzero(true.cells == FREE)
     saved = load_map(out / "maps/map_world.yaml")
     assert np.array_equal(saved.cells == FREE, seen["loaded"].map.grid.cells == FREE)
@@ -104,15 +106,15 @@ def test_the_particles_draw_together_about_the_truth(walked):
 
 def test_goal_and_patrol_are_reached_in_truth(walked):
     _, seen = walked
-    assert np.linalg.norm(seen["there"].T_world_base.xy - [-1.5, -0.5]) < 0.25
+    assert np.linalg.norm(seen["there"].T_world_base.xy - [1.2, -0.8]) < 0.25
     assert [goal.status for goal in seen["there"].goals] == ["reached"]
     underway = seen["underway"]
     assert underway.task == "patrol"
-    assert underway.goal == (0.5, -1.8, 0.0)
+    assert underway.goal == (0.5, 0.8, 3.14)
     assert underway.plan is not None
     assert [goal.status for goal in underway.goals] == ["active", "waiting"]
     assert [goal.status for goal in seen["patrolled"].goals] == ["reached", "reached"]
-    assert "goal 2 of 2: heading to (1.8, -0.5)" in seen["lines"]
+    assert "goal 2 of 2: heading to (-0.8, 0.4)" in seen["lines"]
     assert any(line.startswith("succeeded: 2 of 2 goals reached, no collisions") for line in seen["lines"])
 
 
@@ -130,8 +132,8 @@ def test_what_it_leaves_is_read_by_what_reads_such_files(walked):
     assert np.array_equal(estimate.stamps_ns, truth.stamps_ns)
     two = load_waypoints(out / "waypoints/two.yaml").waypoints
     assert [(waypoint.written, waypoint.wait) for waypoint in two] == [
-        ((0.5, -1.8, 0.0), None),
-        ((1.8, -0.5, 1.57), 2.0),
+        ((0.5, 0.8, 3.14), None),
+        ((-0.8, 0.4, -1.57), 2.0),
     ]
 
 

@@ -9,6 +9,19 @@ from turtlebag.pipeline.stages.studio import studio_output
 from turtlebag.pipeline.studio.inputs import parse_input
 from turtlebag.pipeline.studio.setup import StudioSetup
 
+ROOM = """
+name: room
+robot: burger
+spawn: [-1.2, -0.8, 0.0]
+shapes:
+  - {kind: box, name: south, z: [0.0, 1.0], center: [0.0, -1.55], size: [4.2, 0.1]}
+  - {kind: box, name: north, z: [0.0, 1.0], center: [0.0, 1.55], size: [4.2, 0.1]}
+  - {kind: box, name: west, z: [0.0, 1.0], center: [-2.05, 0.0], size: [0.1, 3.2]}
+  - {kind: box, name: east, z: [0.0, 1.0], center: [2.05, 0.0], size: [0.1, 3.2]}
+  - {kind: box, name: between, z: [0.0, 1.0], center: [0.3, -0.9], size: [0.1, 1.2]}
+"""
+"""A room of 4 m x 3 m with a wall into it, which is soon explored."""
+
 
 class Person:
     """Asks a session for things and lets time pass."""
