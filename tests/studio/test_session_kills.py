@@ -1,6 +1,6 @@
 """A session that is interrupted or killed: what is left can be read, recovered and driven again."""
 
-import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +14,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio.journal import load_session
+from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
 
 pytestmark = pytest.mark.slow
@@ -30,8 +31,8 @@ with studio_output(StudioSetup("turtlebot3_world", seed=1), Output(Path(sys.argv
     session.apply(Save(do="record", name="drive"))
     session.apply(Plain(do="avoid"))
     while True:
-        if session.stamp_ns > 2e9:
-            session.apply(Drive(v=0.1) if session.stamp_ns < 4e9 else Plain(do="release"))
+        if session.stamp_ns > 1e9:
+            session.apply(Drive(v=0.1) if session.stamp_ns < 2e9 else Plain(do="release"))
         session.tick()
         time.sleep(0.003)
 """
@@ -65,7 +66,7 @@ def killed(tmp_path_factory):
     """What a kill -9 has left of a live session."""
     out = tmp_path_factory.mktemp("killed") / "live"
     process = started(LIVE, out)
-    wait_until(out.with_name("live.partial") / "session.yaml", 6.0)
+    wait_until(out.with_name("live.partial") / "session.yaml", 4.0)
     process.kill()
     process.wait()
     return out.with_name("live.partial")
@@ -85,11 +86,8 @@ def test_of_a_killed_session_at_most_a_second_is_lost(killed, tmp_path):
     assert differences(tmp_path / "again", tmp_path / "third") == []
 
 
-def test_what_is_left_of_a_session_is_set_aside_by_the_next(tmp_path, caplog):
-    process = started(LIVE, tmp_path / "live")
-    wait_until(tmp_path / "live.partial/session.yaml", 1.0)
-    process.kill()
-    process.wait()
+def test_what_is_left_of_a_session_is_set_aside_by_the_next(killed, tmp_path, caplog):
+    shutil.copytree(killed, tmp_path / "live.partial")
     with studio_output(StudioSetup("empty"), Output(tmp_path / "live"), say=silent):
         pass
     aside = tmp_path / "live.unfinished"
@@ -109,14 +107,21 @@ def test_a_killed_replay_leaves_nothing_that_looks_finished_and_can_be_begun_aga
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path):
-    process = started(AGAIN, killed / "session.yaml", tmp_path / "out")
-    wait_until(tmp_path / "out.partial/session.yaml", 2.0)
-    os.kill(process.pid, signal.SIGINT)
-    assert process.wait(60) == 130
+def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path, monkeypatch):
+    inner = Session.tick
+
+    def tick(self):
+        inner(self)
+        if self.stamp_ns == 2 * 10**9:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Session, "tick", tick)
+        assert replay(killed / "session.yaml", Output(tmp_path / "out"), say=silent) == 130
     assert read_commands(tmp_path / "out/bags/drive")[0][-1] > 1e9
     recorded = load_session(tmp_path / "out/session.yaml")
     assert recorded.actions[-1][1].do == "end"
+    assert recorded.until_ns < 2.1e9
     assert replay(tmp_path / "out/session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(tmp_path / "out", tmp_path / "again") == []
 
