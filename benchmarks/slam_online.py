@@ -15,8 +15,9 @@ from benchmarks.slam_cases import mapped
 from benchmarks.slam_growth import GROWN, there_and_back
 from benchmarks.slam_public import RADISH, by_name, public_log, read
 from benchmarks.slam_scores import scored
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Recording, Trajectory, seconds
+from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.se3 import inverse, lifted
 from turtlebag.datasets.trajectories_3d import Trajectory3D, read_trajectory_3d
-from turtlebag.datasets.types import Stamps, seconds
+from turtlebag.datasets.types import Stamps
 
 OURS, TRUTH = "TurtleBag", "truth"
 """What we are called among systems, and what they are measured by."""

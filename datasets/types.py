@@ -9,17 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, wrap
 
 Stamps = NDArray[np.int64]
 
 NOTHING_M = 0.01
 """A range below this is how some drivers write "no return"."""
-
-
-def seconds(stamp_ns: int) -> float:
-    """Nanoseconds as seconds."""
-    return stamp_ns * 1e-9
 
 
 @dataclass(frozen=True, slots=True)

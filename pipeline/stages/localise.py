@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
@@ -18,7 +19,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import load_tum, save_tum
-from turtlebag.datasets.types import LidarSpec, Recording, Trajectory, seconds
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.localisation.interface import Localiser, require_estimate
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser

@@ -10,12 +10,13 @@ from pathlib import Path
 from types import FrameType
 
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import save_tum
-from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
+from turtlebag.datasets.types import Observation, Trajectory, Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.bag_commands import is_recording, replayed

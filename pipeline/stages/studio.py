@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
@@ -51,7 +52,7 @@ def studio_output(
             save_map(setup.arena.rasterize(setup.spec.lidar_height), folder / "truth")
             config = config_text(setup.config)
             about = {"world": setup.arena.name, "robot": setup.spec.name}
-        simulated_s = session.stamp_ns * 1e-9
+        simulated_s = seconds(session.stamp_ns)
         pace = {"realtime_factor": round(simulated_s / max(out.wall_s, 1e-9), 2)}
         out.finish(
             folder,
@@ -77,7 +78,7 @@ def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say)
     with (
         deferred_interrupt() as interrupted,
         studio_output(setup, out, say=say, session_file=session_file) as session,
-        simulated_time(recorded.until_ns * 1e-9) as clock,
+        simulated_time(seconds(recorded.until_ns)) as clock,
     ):
         while not session.ended:
             now = session.stamp_ns
@@ -101,4 +102,4 @@ def _apply(session: Sitting, action: Input, session_file: Path) -> None:
     try:
         session.apply(action)
     except InputError as error:
-        raise InputError(f"{session_file}: at {session.stamp_ns * 1e-9:g} s: {error}") from None
+        raise InputError(f"{session_file}: at {seconds(session.stamp_ns):g} s: {error}") from None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
@@ -126,7 +127,7 @@ def patrol(run: Run, action: inputs.Patrol) -> str:
 def avoid(run: Run, action: inputs.Plain) -> str:
     """Drive about."""
     run.end_task("ended: avoid was started")
-    end_s = run.stamp_ns * 1e-9 + MAX_SIMULATED_S
+    end_s = seconds(run.stamp_ns) + MAX_SIMULATED_S
     driver = make_avoider(run.pilot.kit, end_s, changes_only(run.say))
     return _begin(run, Task("avoid", run.stamp_ns, driver), "drive around and avoid obstacles")
 
@@ -137,7 +138,7 @@ def explore(run: Run, action: inputs.Plain) -> str:
     if not run.pilot.mapping:
         _new_map(run)
     assert run.pilot.mapper is not None
-    driver = make_explorer(run.pilot.kit, run.pilot.mapper, run.stamp_ns * 1e-9 + DEFAULT_EXPLORE_S)
+    driver = make_explorer(run.pilot.kit, run.pilot.mapper, seconds(run.stamp_ns) + DEFAULT_EXPLORE_S)
     return _begin(run, Task("explore", run.stamp_ns, driver), "explore and map")
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.tiles import GridTiles
 from turtlebag.pipeline.studio.view import BagMarks, Scene, View
@@ -201,7 +202,7 @@ class Frames:
 def words(view: View) -> dict[str, Any]:
     """What of a view goes into the header of every frame."""
     return {
-        "t": round(view.stamp_ns * 1e-9, 4),
+        "t": round(seconds(view.stamp_ns), 4),
         "owner": view.owner,
         "cmd": list(view.command),
         "task": view.task,

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field
 
-from turtlebag.datasets.durations import LONGEST_S
+from turtlebag.datasets.durations import LONGEST_S, nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
@@ -79,7 +79,7 @@ def load_session(path: Path) -> Recorded:
         if "at" not in entry:
             interval = checked(Interval, entry, where=where)
             intervals.append(interval)
-            until_ns = max(until_ns, round(interval.end * 1e9))
+            until_ns = max(until_ns, nanoseconds(interval.end))
             continue
         at_ns, action = _timed(entry, where)
         if at_ns < (actions[-1][0] if actions else 0):
@@ -98,7 +98,7 @@ def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Input | None]:
     at, rest = entry["at"], {key: value for key, value in entry.items() if key != "at"}
     if isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at <= LONGEST_S:
         raise InputError(f"{where}: at: must be 0 to {LONGEST_S:g} s")
-    at_ns = round(at * 1e9)
+    at_ns = nanoseconds(at)
     if not rest:
         return at_ns, None
     action = parse_input(rest, where)
@@ -158,4 +158,4 @@ class Journal:
 
 
 def _seconds(stamp_ns: int) -> float:
-    return round(stamp_ns * 1e-9, 9)
+    return round(seconds(stamp_ns), 9)

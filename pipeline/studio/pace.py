@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.pipeline.studio.inputs import Button, Speed
 
 LATE_S = 0.25
@@ -76,5 +77,5 @@ class Pacer:
         factor = 0.0
         if not self._paused and not idle and len(self._ticks) > 1:
             (begun, first), (now, last) = self._ticks[0], self._ticks[-1]
-            factor = (last - first) * 1e-9 / max(now - begun, LEAST_S)
+            factor = seconds(last - first) / max(now - begun, LEAST_S)
         return Pace(round(factor, 2), self._asked, self._paused)

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
@@ -56,7 +57,7 @@ class Task:
     @property
     def end_ns(self) -> int:
         """When it is broken off at the latest."""
-        return self.begin_ns + round(MAX_SIMULATED_S * 1e9)
+        return self.begin_ns + nanoseconds(MAX_SIMULATED_S)
 
     @property
     def decision(self) -> str:

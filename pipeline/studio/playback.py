@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Scan, Trajectory
@@ -66,6 +67,7 @@ class Playback(Sitting):
         super().__init__(setup.header(), folder, say)
         # logs whose clock goes back keep their order
         self._at_ns = np.maximum.accumulate(self._log.stamps_ns) - self._log.stamps_ns[0]
+        self._end_ns = int(self._at_ns[-1])
         self._edits = Edits()
         self._trails = {"odom": Trail(), "slam": Trail()}
         self._slam_path = NO_PATH
@@ -122,7 +124,7 @@ class Playback(Sitting):
         """How long it lasted [s], and how much of the bag was played."""
         return {
             "task": "studio",
-            "time_s": round(self.stamp_ns * 1e-9, 6),
+            "time_s": round(seconds(self.stamp_ns), 6),
             "scans": len(self._log),
             "played": self._scan + 1,
         }
@@ -163,19 +165,19 @@ class Playback(Sitting):
 
     def _seek(self, t: float) -> str:
         """Play from there on; the online mapper stops, because it has not seen the part in between."""
-        if t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
-            raise InputError(f"seek: the bag ends after {self._at_ns[-1] * 1e-9:.1f} s")
+        if t > seconds(self._end_ns) + ROUNDED_S:
+            raise InputError(f"seek: the bag ends after {seconds(self._end_ns):.1f} s")
         self._online = None
         for trail in self._trails.values():
             trail.clear()
-        self._position_ns = min(round(t * 1e9), int(self._at_ns[-1]))
+        self._position_ns = min(nanoseconds(t), self._end_ns)
         self._scan = int(np.searchsorted(self._at_ns, self._position_ns, side="right")) - 2
         self._play_to(self._position_ns)
         return ""
 
     def _play_to(self, position_ns: int) -> None:
         """All scans up to there."""
-        self._position_ns = min(position_ns, int(self._at_ns[-1]))
+        self._position_ns = min(position_ns, self._end_ns)
         while self._scan < len(self._log) - 1 and self._at_ns[self._scan + 1] <= self._position_ns:
             self._scan += 1
             if self._online is not None:
@@ -308,7 +310,7 @@ class Playback(Sitting):
             mapping=mapper is not None,
             maps=self._library.maps,
             sure=mapper.fit if mapper is not None and len(mapper) else None,
-            lost="scans fit nothing seen before" if mapper is not None and mapper.lost else None,
+            lost="scans do not fit the map" if mapper is not None and mapper.lost else None,
             T_map_base=T_map_base,
             T_odom_base=T_odom_base,
             T_world_base=T_map_base,
@@ -345,8 +347,8 @@ class Playback(Sitting):
         edits = [("reject", loop.scan, loop.place) for loop in self._edits.reject]
         edits += [("add", loop.scan, loop.place) for loop in self._edits.add]
         return BagMarks(
-            self._position_ns * 1e-9,
-            float(self._at_ns[-1]) * 1e-9,
+            seconds(self._position_ns),
+            seconds(self._end_ns),
             NO_KEYS if self._drawn is None else self._drawn.graph.keys,
             self._loop,
             tuple(edits),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
@@ -157,7 +158,7 @@ class Run:
         grid = None if explorer is None else explorer.grid
         metrics = self.room.run_log.end(task, grid)
         if metrics is not None:
-            self.room.tasks.append({"begin_s": round(task.begin_ns * 1e-9, 6), **metrics})
+            self.room.tasks.append({"begin_s": round(seconds(task.begin_ns), 6), **metrics})
             self.say(verdict(metrics), "info" if metrics["true_success"] else "warning")
         self.room.publisher.path = None
         self.pilot.end_task()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.datasets.durations import LONGEST_S
+from turtlebag.datasets.durations import LONGEST_S, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_text
 from turtlebag.datasets.types import Twist
@@ -63,12 +63,12 @@ class Session(Sitting):
         self._journal.tick(self.stamp_ns, self._run.by_hand)
         self._run.tick()
         self._step += 1
-        if self.stamp_ns >= LONGEST_S * 1e9:
+        if seconds(self.stamp_ns) >= LONGEST_S:
             self.apply(Plain(do="end"))
 
     def metrics(self) -> dict[str, Any]:
         """How long it lasted [s], and the metrics of each task."""
-        return {"task": "studio", "time_s": round(self.stamp_ns * 1e-9, 6), "tasks": self._room.tasks}
+        return {"task": "studio", "time_s": round(seconds(self.stamp_ns), 6), "tasks": self._room.tasks}
 
     def close(self) -> None:
         """Finish all files; closing twice is harmless."""

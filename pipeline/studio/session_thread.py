@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.inputs import DRIVING, Button, Drive, Input, Plain, Speed
 from turtlebag.pipeline.studio.pace import Pace, Pacer
@@ -39,7 +40,7 @@ class SessionThread:
         self._thread = threading.Thread(target=self._run, name="session")
         self._wanted = threading.Event()
         self._over = False
-        self._pacer = Pacer(session.period_ns * 1e-9)
+        self._pacer = Pacer(seconds(session.period_ns))
         self._view_due = 0.0
         self._drive: Drive | None = None
         self._driven = 0.0
@@ -137,7 +138,7 @@ class SessionThread:
             log.debug("refused: %s", error)
             refused(str(error))
             return
-        log.debug("%.3f s: %s", self._session.stamp_ns * 1e-9, done)
+        log.debug("%.3f s: %s", seconds(self._session.stamp_ns), done)
         if entry.do in (*DRIVING, "reset", "end"):
             self._drive = entry if isinstance(entry, Drive) else None
 

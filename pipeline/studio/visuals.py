@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
@@ -88,7 +89,7 @@ class EventLog:
     def add(self, stamp_ns: int, text: str, level: Level = "info") -> None:
         """One more line."""
         self._number += 1
-        self._lines.append(Event(self._number, round(stamp_ns * 1e-9, 3), text, level))
+        self._lines.append(Event(self._number, round(seconds(stamp_ns), 3), text, level))
         self.events = tuple(self._lines)
         self._say(text)
 

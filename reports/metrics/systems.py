@@ -8,6 +8,7 @@ from typing import TypedDict
 
 import numpy as np
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.relations import Relations
@@ -16,7 +17,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.se3 import lifted
 from turtlebag.datasets.trajectories import stamp_text
 from turtlebag.datasets.trajectories_3d import Trajectory3D
-from turtlebag.datasets.types import Trajectory, seconds
+from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics import evo
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics, visible_surface
 from turtlebag.reports.metrics.placing import Placed, place, walls

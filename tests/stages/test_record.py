@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 import turtlebag.pipeline.stages.record
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.output_lock import MARKER
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.trajectories import load_tum
-from turtlebag.datasets.types import seconds
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.sim.raycast import distance_to_point
