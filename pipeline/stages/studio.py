@@ -15,12 +15,12 @@ from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.takeover import Script
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.record import deferred_interrupt
+from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import Drive, Input, Plain
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup, setup_of
-from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 
 
@@ -31,7 +31,7 @@ def studio_output(
     *,
     say: Callable[[str], None] = say,
     session_file: Path | None = None,
-) -> Iterator[Sitting]:
+) -> Iterator[BaseSession]:
     """A session whose files grow in OUT.partial and are put in place when the block is left.
 
     A session that did not end within the block ends there. `say` takes the lines of the event log,
@@ -41,7 +41,7 @@ def studio_output(
     files = {**setup.files, **({} if session_file is None else {"session": session_file})}
     by_hand = session_file is None  # only what a person did cannot be done again
     with out.staged(files.values(), save_bag=by_hand) as folder:
-        session: Sitting
+        session: BaseSession
         if isinstance(setup, BagSetup):
             with Playback(setup, folder, say) as session:
                 yield session
@@ -98,7 +98,7 @@ def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say)
     return 128 + interrupted[0] if interrupted else 0
 
 
-def _apply(session: Sitting, action: Input, session_file: Path) -> None:
+def _apply(session: BaseSession, action: Input, session_file: Path) -> None:
     try:
         session.apply(action)
     except InputError as error:

@@ -48,7 +48,7 @@ def map_stop(run: Run, action: inputs.Plain) -> str:
 
 def map_save(run: Run, action: inputs.Save) -> str:
     """Save the map made here, finished, or else the loaded one, with its keep-out areas."""
-    library, mapper = run.room.library, run.pilot.mapper
+    library, mapper = run.shared.library, run.pilot.mapper
     grid = None if run.loaded is None else run.loaded.grid
     library.check_name(action.name)
     if mapper is not None:
@@ -59,14 +59,14 @@ def map_save(run: Run, action: inputs.Save) -> str:
         raise InputError("map_save: there is no map; start mapping and drive, or load one")
     library.save_map(action.name, grid, run.keepout)
     if mapper is not None:
-        run.room.publisher.map(run.stamp_ns, grid)
+        run.shared.publisher.map(run.stamp_ns, grid)
     return f"map {action.name} saved"
 
 
 def map_load(run: Run, action: inputs.Load) -> str:
     """Load a map; the robot is not localised on it yet."""
-    path, grid, saved = run.room.library.load_map(action.name)
-    keepout = run.room.setup.arena.keepout if saved is None else saved
+    path, grid, saved = run.shared.library.load_map(action.name)
+    keepout = run.shared.setup.arena.keepout if saved is None else saved
     costmap = _costmap(run, grid, keepout)
     run.end_task("ended: a map was loaded")
     run.loaded, run.keepout = LoadedMap(grid, action.name, path), keepout
@@ -161,20 +161,20 @@ def cancel(run: Run, action: inputs.Plain) -> str:
 
 def waypoints_save(run: Run, action: inputs.WaypointsSave) -> str:
     """Save waypoints."""
-    run.room.library.save_waypoints(action.name, action.waypoints)
+    run.shared.library.save_waypoints(action.name, action.waypoints)
     return f"waypoints {action.name} saved"
 
 
 def waypoints_load(run: Run, action: inputs.Load) -> str:
     """Show waypoints."""
-    loaded = run.room.library.load_waypoints(action.name)
+    loaded = run.shared.library.load_waypoints(action.name)
     run.waypoints = tuple((*waypoint.written, waypoint.wait) for waypoint in loaded)
     return f"waypoints {action.name or 'from the tutorial'} loaded"
 
 
 def kidnap(run: Run, action: inputs.At) -> str:
     """Kidnap the robot."""
-    run.room.simulator.carry(SE2.from_xyt(*action.pose))
+    run.shared.simulator.carry(SE2.from_xyt(*action.pose))
     x, y, yaw = action.pose
     return f"kidnapped to {x:.2f}, {y:.2f}, {yaw:.2f}"
 
@@ -184,7 +184,7 @@ def box(run: Run, action: inputs.DropBox) -> str:
     if len(run.boxes) >= MOST_BOXES:
         raise InputError(f"box: the limit of {MOST_BOXES} boxes is reached")
     x, y = action.xy
-    run.room.simulator.drop(shapes.box("box", (x, y), (action.size, action.size), 0.0, (0.0, BOX_HEIGHT_M)))
+    run.shared.simulator.drop(shapes.box("box", (x, y), (action.size, action.size), 0.0, (0.0, BOX_HEIGHT_M)))
     run.boxes = np.vstack([run.boxes, [x, y, action.size, action.size]])
     return f"box dropped at {x:.2f}, {y:.2f}"
 
@@ -222,13 +222,13 @@ def _sequence(run: Run, goals: Sequence[Waypoint], changes: Mapping[str, float])
 
 
 def _new_map(run: Run) -> None:
-    run.loaded = run.room.publisher.grid = None
+    run.loaded = run.shared.publisher.grid = None
     run.pilot.start_mapping()
     run.frame_changed()
 
 
 def _costmap(run: Run, grid: OccupancyGrid, keepout: Sequence[Array]) -> Costmap:
-    return costmap_from_grid(grid, run.room.setup.config.costmap, keepout)
+    return costmap_from_grid(grid, run.shared.setup.config.costmap, keepout)
 
 
 def _on_map(run: Run, what: str) -> tuple[NavigationDriver, LoadedMap]:

@@ -37,10 +37,10 @@ class Drive(Settings):
 
 
 class Plain(Settings):
-    """What needs no more said: standing still or handing over, an end or a beginning, a task.
+    """An input without other fields.
 
-    `map_build` maps a whole bag as `turtlebag map` does, `edits_clear` forgets its loop edits, `wiggle` turns
-    to and fro until the particles have drawn together, `reset` begins anew with what was saved.
+    `map_build` maps the whole bag as `turtlebag map` does, `edits_clear` drops its loop edits, `wiggle` turns
+    back and forth until the particles converge, `reset` restarts the session and keeps what was saved.
     """
 
     do: Literal[

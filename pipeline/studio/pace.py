@@ -11,14 +11,14 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.pipeline.studio.inputs import Button, Speed
 
 LATE_S = 0.25
-"""So far behind its pace a session gives up catching up."""
+"""A session that is farther behind its pace does not catch up."""
 MEASURED_S, LEAST_S = 1.0, 0.1
-"""The pace is that of the last second, and of no less than a tenth of one."""
+"""The pace is measured over the last second, and at least over a tenth of one."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How the simulated time passes: `factor` of the wall's, `asked` for (0: as fast as it goes)."""
+    """Simulated seconds per second: as measured, and as asked for (0: as fast as possible)."""
 
     factor: float
     asked: float
@@ -26,7 +26,7 @@ class Pace:
 
 
 class Pacer:
-    """Of ticks that are `period_s` of simulated time apart."""
+    """Says when the next tick is due; ticks are `period_s` of simulated time apart."""
 
     def __init__(self, period_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._period_s, self._clock = period_s, clock
@@ -35,9 +35,9 @@ class Pacer:
         self._ticks: deque[tuple[float, int]] = deque()
 
     def control(self, asked: Button | Speed) -> None:
-        """Stand still, go on, do one tick, or pass at another speed."""
+        """Pause, resume, ask for a single tick, or change the speed."""
         if asked.do == "step":
-            self._single += 1  # looked at while paused only, and a pause begins with none
+            self._single += 1  # counts while paused only, and a pause begins with none
             return
         if isinstance(asked, Speed):
             self._asked = asked.factor

@@ -1,7 +1,6 @@
 """A bag or log that is played: raw by its odometry, through the online mapper, or mapped as a whole.
 
-Its simulated time only goes on, so that `session.yaml` can play it again; where in the bag that is, inputs
-decide.
+Simulated time only moves forward, so that `session.yaml` can be replayed; inputs set the position in the bag.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.studio import inputs
+from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
 from turtlebag.pipeline.studio.setup import BagSetup
-from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import NO_PATH, BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.view import Path as ShownPath
 from turtlebag.pipeline.studio.visuals import Cached, Trail
@@ -36,12 +35,12 @@ EDITS = "edits.yaml"
 DRAWN_EVERY = 60
 """Ticks between map updates while mapping: two seconds of the bag."""
 ROUNDED_S = 0.1
-"""So much later than the bag's end may be asked for: those who ask have a rounded time."""
+"""A seek may lie this far beyond the end of the bag, because pages round times."""
 
 
 @dataclass(frozen=True, eq=False)
 class Online:
-    """A map in the making: by the scans from `first` on, of which those still to come are `waiting`."""
+    """Online mapping from scan `first` on; `waiting` are the scans still to come."""
 
     mapper: Mapper
     first: int
@@ -50,7 +49,7 @@ class Online:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A map as it was drawn last; `trajectory` and `edits` are those of a map of the whole bag."""
+    """The map on display; only a map of the whole bag has a `trajectory` and `edits`."""
 
     layer: MapLayer
     graph: ShownGraph
@@ -59,8 +58,8 @@ class Drawn:
     edits: Edits | None = None
 
 
-class Playback(Sitting):
-    """Of a bag that can be mapped. InputError for any other."""
+class Playback(BaseSession):
+    """Plays a bag. InputError for one that cannot be mapped."""
 
     def __init__(self, setup: BagSetup, folder: Path, say: Callable[[str], None]) -> None:
         self._log, self.scene = setup.recording, setup.scene()
@@ -74,7 +73,7 @@ class Playback(Sitting):
         self._online: Online | None = None
         self._drawn: Drawn | None = None
         self._built: Drawn | None = None
-        """The map of the whole bag that was made last."""
+        """The last map of the whole bag."""
         self._loop: LoopMarks | None = None
         self._cached = Cached()
         self._interrupted = False
@@ -248,7 +247,7 @@ class Playback(Sitting):
         return f"{told}; {refused} of the added loops rejected" if refused else told
 
     def _map_save(self, name: str) -> str:
-        """The map of the whole bag under a name, built first where it is not what was said since."""
+        """Save the map of the whole bag, built first if the loop edits have changed."""
         self._library.check_name(name)
         if self._built is None or self._built.edits != self._edits:
             self._events.add(self._position_ns, self._build())
@@ -279,7 +278,7 @@ class Playback(Sitting):
         return self._edited(edits, f"scans {action.scan} and {action.place} are to be joined")
 
     def _edited(self, edits: Edits, line: str) -> str:
-        """Keep what was said; it is on disk at once."""
+        """Keep the loop edits, on disk at once."""
         try:
             edits.require_scans(len(self._log), self._log.source)
             if self._drawn is not None and self._drawn.trajectory is not None:
@@ -324,7 +323,7 @@ class Playback(Sitting):
         )
 
     def _pose(self, T_odom_base: SE2) -> SE2:
-        """Where the newest scan was taken, by the best that is known."""
+        """The best estimate of where the newest scan was taken."""
         drawn = self._drawn
         if self._online is not None and len(self._online.mapper):
             return self._online.mapper.T_map_base
@@ -339,7 +338,7 @@ class Playback(Sitting):
         return self._cached.get("scan", of, lambda: T_map_base @ points_of(self._log, self._scan))
 
     def _longer(self) -> ShownPath:
-        """The path as it was drawn last, and on from there."""
+        """The path on display, extended by the trail since."""
         points = np.vstack([self._slam_path.points, self._trails["slam"].path.points])
         return ShownPath(self._slam_path.version, points)
 

@@ -27,12 +27,12 @@ from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.sim.simulator import Simulator
 
 FAR_M = 0.02
-"""Where a closed loop moves the robot by this, the path behind it has moved, too."""
+"""If a loop closure moves the robot farther than this, its path so far is drawn anew."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedMap:
-    """The map that the robot goes by: the name it was asked for by, if any, and its file."""
+    """The map in use, its name as asked for, and its file."""
 
     grid: OccupancyGrid
     name: str | None
@@ -40,8 +40,8 @@ class LoadedMap:
 
 
 @dataclass(frozen=True, eq=False)
-class Room:
-    """What outlasts a reset."""
+class Shared:
+    """What survives a reset."""
 
     setup: StudioSetup
     simulator: Simulator
@@ -52,20 +52,20 @@ class Room:
     tasks: list[dict[str, Any]]
     """Metrics of the tasks that are over."""
     trails: dict[str, Trail]
-    """The paths by odometry, as the robot took itself to go, and in truth: `odom`, `slam`, `true`."""
+    """The paths by odometry, by the robot's estimate, and in truth: `odom`, `slam`, `true`."""
 
 
 class Run:
-    """What there is of robot, map and tasks."""
+    """Robot, map and tasks."""
 
-    def __init__(self, room: Room, step: int) -> None:
+    def __init__(self, shared: Shared, step: int) -> None:
         """The robot stands at the world's spawn at control step `step`."""
-        setup = room.setup
-        self.room = room
-        self.observation = room.simulator.reset(step=step)
+        setup = shared.setup
+        self.shared = shared
+        self.observation = shared.simulator.reset(step=step)
         robot, config = setup.spec, setup.config
-        room.publisher.grid = room.publisher.path = None
-        self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), room.publisher))
+        shared.publisher.grid = shared.publisher.path = None
+        self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), shared.publisher))
         self.by_hand: Twist | None = None
         """The current teleop command; None without teleop."""
         self.owner = CommandOwner(self.pilot, robot.model, self, CollisionMonitor(robot.model))
@@ -81,7 +81,7 @@ class Run:
         """The last task that had goals."""
         self._loops = 0
         self._news = News("", self.say, self._clock)
-        for trail in room.trails.values():
+        for trail in shared.trails.values():
             trail.clear()
 
     @property
@@ -100,29 +100,29 @@ class Run:
 
     def say(self, text: str, level: Level = "info") -> None:
         """A line for the event log."""
-        self.room.events.add(self.stamp_ns, text, level)
+        self.shared.events.add(self.stamp_ns, text, level)
 
     def tick(self) -> None:
         """One control period."""
-        observation, room, pilot = self.observation, self.room, self.pilot
+        observation, shared, pilot = self.observation, self.shared, self.pilot
         self.command = self.owner.step(observation)
         del self.owner.asked[:-1]  # the journal has them
-        room.run_log.tick(observation, self.owner, self.command, pilot.T_map_odom)
+        shared.run_log.tick(observation, self.owner, self.command, pilot.T_map_odom)
         task = pilot.task
         sequence = None if task is None else task.sequence
-        self._news.tick(observation.stamp_ns, self.owner, sequence, room.simulator.truth)
+        self._news.tick(observation.stamp_ns, self.owner, sequence, shared.simulator.truth)
         if observation.scan is not None:
             self._leave_trails()
         if task is not None and task.driver.finished:
             self._task_over(task)
         elif task is not None and observation.stamp_ns >= task.end_ns:
             self.end_task("cancelled: timed out")
-        self.observation = room.simulator.step(self.command)
+        self.observation = shared.simulator.step(self.command)
 
     def begin(self, task: Task) -> None:
         """Start a task with the next tick; no other is running."""
         self.pilot.begin(task)
-        self.room.run_log.begin()
+        self.shared.run_log.begin()
         self._news.begin()
         self.shown = task if task.sequence is not None else None
 
@@ -138,14 +138,14 @@ class Run:
 
     def frame_changed(self) -> None:
         """The path so far was on another map."""
-        self.room.trails["slam"].clear()
+        self.shared.trails["slam"].clear()
         self._loops = 0
 
     def _leave_trails(self) -> None:
-        trails, slam = self.room.trails, self.pilot.slam
+        trails, slam = self.shared.trails, self.pilot.slam
         trails["odom"].add(self.observation.odometry.T_odom_base.xy)
         trails["slam"].add(self.T_map_base.xy)
-        trails["true"].add(self.room.simulator.truth.T_world_base.xy)
+        trails["true"].add(self.shared.simulator.truth.T_world_base.xy)
         jumps = [] if slam is None else slam.jumps[self._loops :]
         if slam is not None and max(jumps, default=0.0) > FAR_M:
             trails["slam"].replace(slam.trajectory.poses.xy)
@@ -156,11 +156,11 @@ class Run:
             self.say(task.driver.convergence)
         explorer = task.explorer
         grid = None if explorer is None else explorer.grid
-        metrics = self.room.run_log.end(task, grid)
+        metrics = self.shared.run_log.end(task, grid)
         if metrics is not None:
-            self.room.tasks.append({"begin_s": round(seconds(task.begin_ns), 6), **metrics})
+            self.shared.tasks.append({"begin_s": round(seconds(task.begin_ns), 6), **metrics})
             self.say(verdict(metrics), "info" if metrics["true_success"] else "warning")
-        self.room.publisher.path = None
+        self.shared.publisher.path = None
         self.pilot.end_task()
 
     def _clock(self, stamp_ns: int, doing: str) -> None:

@@ -16,11 +16,11 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
+from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.frames import Frames, bye, hello
 from turtlebag.pipeline.studio.inputs import Button, Control, Input, Layers, Malformed, Speed, parse_message
 from turtlebag.pipeline.studio.pace import Pace
 from turtlebag.pipeline.studio.session_thread import SessionThread
-from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
 PAGE = Path(__file__).parent / "static"
@@ -44,7 +44,7 @@ WATCHING = "You are watching. Take control to do that."
 class Studio:
     """A session, its viewers, and the one that drives. Lives in the event loop's thread."""
 
-    def __init__(self, session: Sitting) -> None:
+    def __init__(self, session: BaseSession) -> None:
         self._scene = session.scene
         self._loop = IOLoop.current()
         self._thread = SessionThread(session, self._show)
@@ -217,7 +217,7 @@ def application(studio: Studio, access: Access) -> Application:
 
 
 async def serve(
-    session: Sitting,
+    session: BaseSession,
     access: Access,
     sockets: Sequence[socket.socket],
     *,

@@ -14,19 +14,19 @@ from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.studio.actions import ACTIONS, map_load
+from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Load, Plain, Save
 from turtlebag.pipeline.studio.publisher import Publisher
-from turtlebag.pipeline.studio.run import Room, Run
+from turtlebag.pipeline.studio.run import Run, Shared
 from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import Scene, View
 from turtlebag.pipeline.studio.visuals import Trail
 from turtlebag.sim.robots import static_transforms
 from turtlebag.sim.simulator import Simulator
 
 
-class Session(Sitting):
+class Session(BaseSession):
     """It owns a simulator and, while one is recorded, a bag."""
 
     def __init__(self, setup: StudioSetup, folder: Path, say: Callable[[str], None]) -> None:
@@ -34,7 +34,7 @@ class Session(Sitting):
         self.setup, self.scene = setup, Scene.of(setup.arena, setup.spec, setup.seed)
         super().__init__(setup.header(), folder, say, setup.map_path)
         publisher, simulator = Publisher(), Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
-        self._room = Room(
+        self._shared = Shared(
             setup=setup,
             simulator=simulator,
             library=self._library,
@@ -49,7 +49,7 @@ class Session(Sitting):
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         super().__exit__(kind)
-        self._room.simulator.close()
+        self._shared.simulator.close()
 
     @property
     def stamp_ns(self) -> int:
@@ -68,17 +68,17 @@ class Session(Sitting):
 
     def metrics(self) -> dict[str, Any]:
         """How long it lasted [s], and the metrics of each task."""
-        return {"task": "studio", "time_s": round(seconds(self.stamp_ns), 6), "tasks": self._room.tasks}
+        return {"task": "studio", "time_s": round(seconds(self.stamp_ns), 6), "tasks": self._shared.tasks}
 
     def close(self) -> None:
         """Finish all files; closing twice is harmless."""
         super().close()
-        self._room.run_log.close()
-        self._room.simulator.close()
+        self._shared.run_log.close()
+        self._shared.simulator.close()
 
     def _started(self) -> Run:
         """A run at the spawn, on the map that was given."""
-        run = Run(self._room, self._step)
+        run = Run(self._shared, self._step)
         if self.setup.map_path is not None:
             map_load(run, Load(do="map_load"))
         return run
@@ -112,7 +112,7 @@ class Session(Sitting):
     def _record(self, name: str) -> str:
         if self._bag is not None:
             raise InputError(f"record: {self._bag[0]} is being recorded; stop it first")
-        setup, publisher, folder = self.setup, self._room.publisher, self._folder / "bags" / name
+        setup, publisher, folder = self.setup, self._shared.publisher, self._folder / "bags" / name
         if folder.exists():
             raise InputError(f"record: a bag {name} already exists; choose another name")
         custom = {
@@ -135,13 +135,13 @@ class Session(Sitting):
             raise InputError("record_stop: nothing is being recorded")
         name, bag = self._bag
         bag.close()
-        self._bag, self._room.publisher.bag = None, NoBag()
+        self._bag, self._shared.publisher.bag = None, NoBag()
         return f"bag {name} recorded"
 
     def view(self) -> View:
         """What there is to draw now."""
-        run, room = self._run, self._room
-        pilot, look, truth = run.pilot, run.visuals, room.simulator.truth
+        run, shared = self._run, self._shared
+        pilot, look, truth = run.pilot, run.visuals, shared.simulator.truth
         task = pilot.task
         sequence = None if task is None else task.sequence
         goal = None if sequence is None or sequence.goal is None else sequence.waypoint.written
@@ -155,8 +155,8 @@ class Session(Sitting):
             recording=None if self._bag is None else self._bag[0],
             mapping=pilot.mapping,
             map_name=None if run.loaded is None else run.loaded.name,
-            maps=room.library.maps,
-            waypoint_files=room.library.waypoint_files,
+            maps=shared.library.maps,
+            waypoint_files=shared.library.waypoint_files,
             loaded_waypoints=run.waypoints,
             localised=pilot.localised,
             sure=look.sure(),
@@ -168,19 +168,19 @@ class Session(Sitting):
             goal_index=pilot.goal_index,
             goal=goal,
             sectors=look.sectors(),
-            events=room.events.events,
+            events=shared.events.events,
             scan=look.scan(),
             particles=look.particles(),
-            plan=look.plan(room.publisher.path),
+            plan=look.plan(shared.publisher.path),
             local=look.local(run.T_map_base, run.command),
-            odom_path=room.trails["odom"].path,
-            slam_path=room.trails["slam"].path,
-            true_path=room.trails["true"].path,
+            odom_path=shared.trails["odom"].path,
+            slam_path=shared.trails["slam"].path,
+            true_path=shared.trails["true"].path,
             graph=look.graph(),
             boxes=run.boxes,
             keepout=run.keepout,
-            mover_segments=room.simulator.surroundings.moving.segments,
-            mover_circles=room.simulator.surroundings.moving.circles,
-            map=look.map(room.publisher.grid),
+            mover_segments=shared.simulator.surroundings.moving.segments,
+            mover_circles=shared.simulator.surroundings.moving.circles,
+            map=look.map(shared.publisher.grid),
             costmap=look.costmap(),
         )

@@ -14,9 +14,9 @@ from collections.abc import Callable
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import DRIVING, Button, Drive, Input, Plain, Speed
 from turtlebag.pipeline.studio.pace import Pace, Pacer
-from turtlebag.pipeline.studio.sitting import Sitting
 from turtlebag.pipeline.studio.view import View
 
 HEARTBEAT_S = 0.5
@@ -34,7 +34,7 @@ Refused = Callable[[str], None]
 class SessionThread:
     """The thread. `show` is called in it with each view that `want_view` asked for."""
 
-    def __init__(self, session: Sitting, show: Callable[[View, Pace], None]) -> None:
+    def __init__(self, session: BaseSession, show: Callable[[View, Pace], None]) -> None:
         self._session, self._show = session, show
         self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="session")
@@ -77,7 +77,7 @@ class SessionThread:
         self._todo.put(lambda: self._take(entry, at, refused))
 
     def control(self, asked: Button | Speed) -> None:
-        """Let the simulated time stand still, go on, do one tick, or pass at another speed."""
+        """Pause, resume, ask for a single tick, or change the speed."""
         self._todo.put(lambda: self._pacer.control(asked))
 
     def want_view(self) -> None:
@@ -122,7 +122,7 @@ class SessionThread:
         return IDLE_S if wait is None else min(wait, IDLE_S)
 
     def _take(self, entry: Input, at: float, refused: Refused) -> None:
-        """An input of the page. A speed that is asked for again only says that somebody is there."""
+        """An input of the page. The same speed again only renews the heartbeat."""
         if isinstance(entry, Drive):
             self._driven = at
             if entry == self._drive:
@@ -130,7 +130,7 @@ class SessionThread:
         self._apply(entry, refused)
 
     def _apply(self, entry: Input, refused: Refused) -> None:
-        """The one way by which anything reaches the session; what it refuses, it does not record."""
+        """Every input reaches the session here; those it refuses are not recorded."""
         self._begin(entry.do)
         try:
             done = self._session.apply(entry)

@@ -16,7 +16,7 @@ from turtlebag.pipeline.studio.visuals import EventLog
 from turtlebag.sim.robots import CONTROL_HZ
 
 
-class Sitting(ABC):
+class BaseSession(ABC):
     """A context manager that writes into a folder. No clock, no network, no thread."""
 
     scene: Scene
@@ -50,7 +50,7 @@ class Sitting(ABC):
             self.apply(Plain(do="end"))
         self._journal.close()
 
-    def interrupt(self) -> None:  # noqa: B027 (few sittings have what can be broken off)
+    def interrupt(self) -> None:  # noqa: B027 (few sessions have anything to break off)
         """Break off what takes long; called from another thread."""
 
     def apply(self, entry: Input) -> str:
