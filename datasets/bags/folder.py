@@ -100,14 +100,18 @@ class BagFolder:
             self._mcap.flush()
             self._flushed_ns = None
 
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Log times of the first and the last message in time; zeros without messages."""
+        return (self._first_ns, self._last_ns) if any(self._counts) else (0, 0)
+
     def close(self) -> None:
         """Finish the file, then write metadata.yaml."""
         if self._closed:
             return
         self._closed = True
         self._mcap.flush()
-        span_ns = (self._first_ns, self._last_ns) if any(self._counts) else (0, 0)
-        information = bag_metadata(self._topics, self._counts, span_ns, self._custom)
+        information = bag_metadata(self._topics, self._counts, self.span_ns, self._custom)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
         self._mcap.finish()
         self._file.close()

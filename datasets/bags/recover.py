@@ -27,13 +27,11 @@ def recover(path: Path, folder: Path) -> Recovered:
     Damaged stretches are stepped over and named in the notes. InputError when nothing can be saved.
     """
     bag = open_bag(path)
-    times: list[int] = []
     with BagFolder(folder, custom={**bag.custom_data(), "recovered": "true"}) as out:
         copier = into_mcap(out)
         for message in bag.messages(step_over=True):
             copier.write(message)
-            times.append(message.log_time_ns)
         if not copier.count:
             reason = "; ".join(bag.notes) or "it is empty"
             raise InputError(f"{path}: no message could be saved ({reason})")
-    return Recovered(copier.count, min(times), max(times), (*bag.notes, *copier.notes()))
+    return Recovered(copier.count, *out.span_ns, (*bag.notes, *copier.notes()))

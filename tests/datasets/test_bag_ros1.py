@@ -103,6 +103,21 @@ def test_recovery_steps_over_a_damaged_chunk(plain, tmp_path, compression):
     assert saved[-1] == whole[-1]
 
 
+def test_the_span_of_a_recovered_bag_is_that_of_the_messages_in_it(tmp_path):
+    path = tmp_path / "b.bag"
+    with Writer(path) as writer:
+        known, other = (
+            writer.add_connection(name, "std_msgs/msg/UInt8", msgdef="uint8 data\n", md5sum="0" * 32)
+            for name in ("/known", "/other")
+        )
+        for stamp in (5, 6):
+            writer.write(known, stamp * 10**9, b"\x01")
+        writer.write(other, 9 * 10**9, b"")
+    saved = recover(path, tmp_path / "saved")
+    assert (saved.messages, saved.start_ns, saved.end_ns) == (2, 5 * 10**9, 6 * 10**9)
+    assert "/other: 1 damaged messages left out" in saved.notes
+
+
 def test_an_old_version_is_one_clear_line(tmp_path):
     path = tmp_path / "old.bag"
     path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
