@@ -16,7 +16,7 @@ class InputError(Exception):
 
 
 def if_there(read: Callable[Given, Found], *given: Given.args, **named: Given.kwargs) -> Found | None:
-    """What is read; None where that is an InputError, for what need not be there."""
+    """The result of `read`, or None if it raises InputError: for what may be missing."""
     try:
         return read(*given, **named)
     except InputError:

@@ -210,8 +210,8 @@ def number_of(count: int, what: str) -> str:
 
 
 def print_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
-    """Print rows in columns: those of the numbers `left` (negative ones from the end) begin below each other,
-    the others end so."""
+    """Print rows as a table: the columns `left` (negative ones from the end) are left-aligned, the others
+    right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     begin = {number % len(widths) for number in left} if widths else set()
     for row in rows:

@@ -134,8 +134,7 @@ def test_a_refusal_is_told_to_the_one_who_asked_and_once(served):
         await one.until(lambda p: len(p.errors) > 1)
         one.ask("speed", factor=0.01)
         await one.until(lambda p: len(p.errors) > 2)
-        await one.read_for(0.4)
-        await two.read_for(0.4)
+        await asyncio.gather(one.read_for(0.3), two.read_for(0.3))
         assert two.picture.errors == []
         return one.picture.errors
 
@@ -246,9 +245,9 @@ def test_layers_that_are_not_wanted_are_not_sent_and_come_when_they_are(served):
         client = await connect(served.url)
         client.ask("layers", layers=["scan", "robot", "anything of the page's own"])
         picture = await client.until(lambda p: p.head)
-        await client.read_for(0.3)
+        await client.read_for(0.2)
         length = len(picture.arrays["slam_path"]) if "slam_path" in picture.arrays else 0
-        await client.read_for(0.3)
+        await client.read_for(0.2)
         assert len(picture.arrays.get("slam_path", ())) == length
         client.ask("layers", layers=["slam_path", "map"])
         await client.until(lambda p: "map" in p.grids and len(p.arrays["slam_path"]) > length)
