@@ -64,7 +64,7 @@ class BaseSession(ABC):
         try:
             line = self._done(entry)
         except OSError as error:
-            raise InputError(f"{entry.do}: {error.filename}: {error.strerror}") from None
+            raise InputError(f"{entry.do}: {error.filename or self._folder}: {error.strerror}") from None
         if entry.do not in DRIVING:
             self._journal.action(self.stamp_ns, entry)
         if line:

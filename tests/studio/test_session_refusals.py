@@ -1,5 +1,6 @@
 """What a session refuses: in one line, with nothing changed and nothing written down."""
 
+import errno
 import math
 
 import numpy as np
@@ -11,6 +12,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.inputs import KNOWN, parse_input
+from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
 
@@ -110,6 +112,15 @@ def test_too_little_mapped(without_map):
     assert "mapping is already running" in refused(without_map, "map_start")
     assert "drive on a little" in refused(without_map, "map_save", name="early")
     without_map.do("map_stop")
+
+
+def test_a_full_disk_is_named_by_the_folder(without_map, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Library, "save_waypoints", full)
+    said = refused(without_map, "waypoints_save", name="a", waypoints=[{"pose": [0, 0, 0]}])
+    assert said == f"waypoints_save: {without_map.session._folder}: No space left on device"
 
 
 def test_nothing_after_the_end(tmp_path):
