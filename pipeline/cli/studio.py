@@ -24,7 +24,7 @@ EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
 WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
 SIMULATED = ("world", "robot", "seed", "map", "config", "settings")
 LIVE = (*SIMULATED, "bag", "port", "host")
-"""Options of a session that is yet to be driven; one that is driven again has all of it in its file."""
+"""Options that --replay does not take: the session file has them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page until the session ends or Ctrl-C; or drive a session again."""
+    """Serve the page until the session ends or Ctrl-C, or replay a session."""
     if args.replay is not None:
         return _replay(args)
     from turtlebag.pipeline.stages.record import RecordOptions
@@ -97,7 +97,7 @@ def _live(
             _open_browser(access.url)
 
     failure: Exception | None = None
-    # What was driven until an interrupt or a failure cannot be driven again: it is finished and kept.
+    # Nobody drives the same session by hand again: after an interrupt or a failure it is finished and kept.
     with (
         deferred_interrupt() as interrupted,
         studio_output(setup, Output(out, args.force, args.command_line), say=log.info) as session,

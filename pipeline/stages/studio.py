@@ -1,4 +1,4 @@
-"""The stage `studio`: a session that a person drives, and the same again from its `session.yaml`."""
+"""The stage `studio`: a session that a person drives, and its replay from `session.yaml`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def studio_output(
     """A session whose files grow in OUT.partial and are put in place when the block is left.
 
     A session that did not end within the block ends there. `say` takes the lines of the event log,
-    `session_file` is the one that is driven again. InputError, with nothing written, for unknown names and
+    `session_file` is the one that is replayed. InputError, with nothing written, for unknown names and
     unreadable maps.
     """
     files = {**setup.files, **({} if session_file is None else {"session": session_file})}
@@ -67,10 +67,10 @@ def studio_output(
 
 
 def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say) -> int:
-    """Drive a session again, to the same bytes; returns the exit code.
+    """Replay a session to the same bytes; returns the exit code.
 
-    One whose file does not say that it ended was killed: it ends with the last line of the file.
-    InputError, with nothing written, when it cannot be driven again.
+    A session that was killed, so that its file has no `end`, ends with the last line of the file.
+    InputError, with nothing written, when it cannot be replayed.
     """
     recorded = load_session(session_file)
     setup = setup_of(recorded.header, session_file)

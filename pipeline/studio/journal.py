@@ -25,11 +25,11 @@ from turtlebag.sim.simulator import SimConfig
 
 FILE = "session.yaml"
 EVERY_NS = 10**9
-"""No longer than this is a session silent: what is lost by a kill is shorter."""
+"""A line is written at least this often, so that a kill loses no more."""
 
 
 class Header(Settings):
-    """What a session began with. `sha256` holds those of the files named, by their part in it."""
+    """The options of a session; `sha256` are those of its files, by kind."""
 
     version: Literal[1] = 1
     world: str
@@ -41,7 +41,7 @@ class Header(Settings):
 
 
 class BagHeader(Settings):
-    """What playing a bag began with; `sha256` by file of the bag."""
+    """The bag of a session; `sha256` by file of the bag."""
 
     version: Literal[1] = 1
     bag: str
@@ -50,7 +50,7 @@ class BagHeader(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A session as its file has it: actions by time [ns], intervals of driving, and when it ended [ns]."""
+    """A session file: actions by time [ns], intervals of teleop, and the last time in it [ns]."""
 
     header: Header | BagHeader
     actions: tuple[tuple[int, Input], ...]
@@ -94,7 +94,7 @@ def load_session(path: Path) -> Recorded:
 
 
 def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Input | None]:
-    """Time [ns] and action of an entry; no action where it only says that the session still went on."""
+    """Time [ns] and action of an entry; no action in a line that only says the session was still running."""
     at, rest = entry["at"], {key: value for key, value in entry.items() if key != "at"}
     if isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at <= LONGEST_S:
         raise InputError(f"{where}: at: must be 0 to {LONGEST_S:g} s")
