@@ -65,6 +65,8 @@ def walked(tmp_path_factory):
         person.do("pose_estimate", pose=[x + 0.3, y, yaw + math.radians(20.0)])
         seen["told"] = person.view
         person.do("wiggle")
+        person.wait(0.5)
+        seen["wiggling"] = person.view
         assert person.until_done(30.0) is not None
         seen["wiggled"] = person.view
         person.do("goal", pose=[1.2, -0.8, 1.57])
@@ -97,6 +99,8 @@ def test_the_particles_draw_together_about_the_truth(walked):
     assert told.localised
     std = [np.linalg.norm(view.particles[:, :2].std(axis=0)) for view in (told, wiggled)]
     error = [np.linalg.norm(view.T_map_base.xy - view.T_world_base.xy) for view in (told, wiggled)]
+    assert seen["wiggling"].task == "wiggle"
+    assert abs(seen["wiggling"].command[1]) > 0.1
     assert std[1] < 0.5 * std[0]
     assert error[0] > 0.15
     assert error[1] < 0.05
