@@ -15,7 +15,7 @@ import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.pipeline.localisation.estimate import NARROW_M, Estimate, narrow
+from turtlebag.pipeline.localisation.estimate import NARROW_M, NARROW_RAD, Estimate, narrow
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
@@ -70,4 +70,5 @@ def _agree(T_map_base: SE2, cloud: Estimate) -> bool:
     """Whether a pose is within three standard deviations of the cloud, or what is narrow anyway."""
     offset = np.abs(T_map_base.xyt - cloud.T_map_base.xyt)
     offset[2] = abs(wrap(offset[2]))
-    return bool(np.all(offset <= np.maximum(NARROW_M, 3.0 * np.sqrt(np.diag(cloud.core)))))
+    reach = np.maximum([NARROW_M, NARROW_M, NARROW_RAD], 3.0 * np.sqrt(np.diag(cloud.core)))
+    return bool(np.all(offset <= reach))
