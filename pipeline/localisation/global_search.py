@@ -11,6 +11,8 @@ a wall, is evidence against a pose, which the likelihood field alone does not ha
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from turtlebag.datasets.grid import FREE, OccupancyGrid
@@ -27,6 +29,8 @@ CANDIDATES = 20000
 # Shaking after each stage: standard deviations [m and rad], and the particles left for the next.
 SHAKES = (0.10, 0.05, 0.03)
 STAGE_PARTICLES = 3000
+# Standard deviations of a search about a pose [m, m, rad].
+AROUND = (0.5, 0.5, math.pi / 12.0)
 # Each weighing is flattened until this share of the candidates still counts; fewer together are no place.
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
@@ -48,7 +52,6 @@ class GlobalSearch:
         self.field = field
         self.range_max = range_max
         self._grid, self._free = grid, np.argwhere(grid.cells == FREE)
-        self._spread = np.sqrt([config.initial_cov_xx, config.initial_cov_yy, config.initial_cov_aa])
         self._noise = (config.sigma_hit, config.z_hit, config.z_rand / range_max)
 
     def uniform(self, count: int, rng: np.random.Generator) -> Array:
@@ -79,14 +82,11 @@ class GlobalSearch:
         return np.asarray(np.mean(p / best, axis=1))
 
     def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
-        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,).
-
-        Around it means as far as a pose that is told may be off (initial_cov_*).
-        """
+        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,)."""
         if around is None:
             poses = self.uniform(CANDIDATES, rng)
         else:
-            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * self._spread
+            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * AROUND
         for shake in SHAKES:
             weights = tempered(self._score(poses, beams))
             poses = poses[low_variance(weights, STAGE_PARTICLES, rng.random())]
