@@ -54,9 +54,7 @@ class AmclConfig(Settings, allow_inf_nan=False):
     @model_validator(mode="after")
     def _check(self) -> AmclConfig:
         if self.min_particles > self.max_particles:
-            raise ValueError(
-                f"min_particles {self.min_particles}  exceeds max_particles {self.max_particles}"
-            )
+            raise ValueError(f"min_particles {self.min_particles} exceeds max_particles {self.max_particles}")
         if self.recovery_alpha_slow > self.recovery_alpha_fast:
             raise ValueError("recovery_alpha_slow must not exceed recovery_alpha_fast")
         return self
