@@ -16,18 +16,17 @@ from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.agreement import DIFFERENT
-from turtlebag.pipeline.localisation.estimate import NARROW_M
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.planners.control.goal_checker import PASSING
 from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
-from turtlebag.planners.tasks.recovery import ELSEWHERE_M
+from turtlebag.planners.tasks.frontier import SPENT_M
 
-# Places looked at have this much room beside the robot's radius, better the first: beside a thing a view
-# changes with every centimetre.
-ROOMS_M = (0.15, 0.05)
+# Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
+# beside a thing a view changes with every centimetre.
+SPACING_M, ROOMS_M = 0.15, (0.15, 0.05)
 
 
 class Disambiguation:
@@ -114,12 +113,12 @@ def nearest_difference(
     ways = ways_from(costmap, pose, radius)
     if ways is None:
         return None
-    step = max(1, round(NARROW_M / costmap.resolution))
+    step = max(1, round(SPACING_M / costmap.resolution))
     cells = np.argwhere(np.isfinite(ways))
     cells = cells[(cells[:, 0] % step == 0) & (cells[:, 1] % step == 0)]
     xy = costmap.T_map_grid @ ((cells[:, ::-1] + 0.5) * costmap.resolution)
     for seen in visited:
-        keep = np.linalg.norm(xy - seen, axis=1) > ELSEWHERE_M
+        keep = np.linalg.norm(xy - seen, axis=1) > SPENT_M
         cells, xy = cells[keep], xy[keep]
     if len(cells) == 0:
         return None

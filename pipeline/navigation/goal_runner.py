@@ -26,7 +26,7 @@ from turtlebag.planners.global_plan import PlanConfig, plan_path
 from turtlebag.planners.obstacle_layer import ON_MAP, ObstacleLayer
 from turtlebag.planners.planner import NoPath
 from turtlebag.planners.tasks.patrol import Status
-from turtlebag.planners.tasks.recovery import ELSEWHERE_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
+from turtlebag.planners.tasks.recovery import PROGRESS_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
 
 LOOK_AHEAD_M = ON_MAP.obstacle_range
 """Obstacles farther along the path are no reason to plan anew: on a map none is marked from farther off."""
@@ -123,7 +123,7 @@ class _Recovery:
         if self._at is not None:
             self._driven += float(np.linalg.norm(pose.xy - self._at.xy))
         self._at = pose
-        if self._driven > ELSEWHERE_M and self.manoeuvre is None:
+        if self._driven > PROGRESS_M and self.manoeuvre is None:
             self._driven = 0.0
             self.ladder.rest()
 

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel
-from turtlebag.pipeline.localisation.pose_hypotheses import NEIGHBOURS
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
-BINS = 360
-"""Bearings of a profile; a beam stands for its NEIGHBOURS, too."""
+BINS, NEIGHBOURS = 360, 2
+"""Bearings of a profile; a beam stands for so many to both sides, too."""
 SHIFT_M = 0.06
 """A sweep that saw so much farther saw through the place."""
 COMPANY, COMPANY_M = 3, 0.2

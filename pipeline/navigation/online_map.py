@@ -9,9 +9,11 @@ import numpy as np
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, Observation, Recording, Scan, Trajectory
-from turtlebag.pipeline.localisation.estimate import NARROW_M
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
+
+HERE_M = 0.15
+"""Scans taken so near to where the robot pushes against something are not drawn."""
 
 
 class OnlineMap:
@@ -50,7 +52,7 @@ class OnlineMap:
         Wheels that turn on the spot bend the sweeps, by which each scan's beams are put in order.
         """
         if self.mapper is not None:
-            self.mapper.distrust(NARROW_M)
+            self.mapper.distrust(HERE_M)
 
     @property
     def ready(self) -> bool:

@@ -16,13 +16,12 @@ from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.monitor import CollisionMonitor
-from turtlebag.planners.control.pursuit import NEAR_M
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
 from turtlebag.planners.tasks.recovery import ProgressWatch
 
-# Half the corridor kept free ahead is half the robot's width and this; something in it nearer than NEAR_M
+# Half the corridor kept free ahead is half the robot's width and this; something in it nearer than this
 # before the nose counts as the nearest tier [m].
-SIDE_ROOM_M = 0.06
+SIDE_ROOM_M, NOSE_ROOM_M = 0.06, 0.2
 # It turns away from what it bumped into by this [rad].
 TURN_AWAY_RAD = 1.6
 # So many changes of the freer side, one after the other, count as dithering: it keeps its side.
@@ -79,7 +78,7 @@ class ReactiveAvoidance:
 
     def _tiers(self, sweep: DeskewedScan, T_odom_base: SE2, points: Array) -> Decision:
         s = sweep.sectors
-        if s.front < STOP_M or self._gap(points) < NEAR_M:
+        if s.front < STOP_M or self._gap(points) < NOSE_ROOM_M:
             self._turn_to(1.0 if s.left > s.right else -1.0)
             side = "left" if self._turning > 0.0 else "right"
             return Decision(f"stop, turn {side}", Twist(0.0, self._turning * TURN_W))

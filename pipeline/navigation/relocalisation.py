@@ -8,7 +8,6 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.localisation.agreement import SETTLING
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
-from turtlebag.pipeline.localisation.push_detection import LEAST_STD
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
@@ -19,6 +18,8 @@ from turtlebag.planners.tasks.wiggle import Wiggle
 
 JUMP = 0.25
 """An estimate that moves more than this [m or rad] with one scan was wrong before."""
+MOVED_STD = 0.05
+"""Standard deviation [m and rad] of an estimate that was moved to the right hypothesis."""
 
 
 class Relocaliser:
@@ -155,7 +156,7 @@ class Relocaliser:
     def _move_to(self, T_map_map: SE2) -> None:
         """Move the estimate if it is not there; that is no reason for doubt."""
         if not np.allclose(T_map_map.xyt, 0.0):
-            self.localiser.move(T_map_map, LEAST_STD**2 * np.eye(3))
+            self.localiser.move(T_map_map, MOVED_STD**2 * np.eye(3))
             self._T_map_odom, self.void = self.localiser.T_map_odom, True
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, ways_from
-from turtlebag.planners.tasks.recovery import ELSEWHERE_M
 
 LEAST_M = 0.4
 """Shorter frontiers are gaps between beams, not openings.
@@ -20,6 +19,8 @@ LEAST_M = 0.4
 As short as a burger is wide, it explores the house in 546 s for 427, and touches tables 4 times for none."""
 VIEW_M = 0.8
 """From how near a frontier is looked at."""
+SPENT_M = 0.5
+"""No second look from this near a place where one did not help."""
 
 
 def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
@@ -37,7 +38,7 @@ def next_view(
     """A pose from which to look at the most rewarding frontier; None when no frontier can be got near.
 
     `costmap` is that of the grid, with unknown cells blocked; `radius` the clearance the robot needs [m];
-    `spent` are places (2,) looked from before: no second look from near there.
+    `spent` are places (2,) looked from before.
     """
     labels = frontiers(grid, LEAST_M)
     ways = ways_from(costmap, T_map_base, radius)
@@ -48,7 +49,7 @@ def next_view(
     cells = np.argwhere(candidates)
     places = grid.center_of(cells)
     for place in spent:
-        fresh = np.linalg.norm(places - place, axis=1) > ELSEWHERE_M
+        fresh = np.linalg.norm(places - place, axis=1) > SPENT_M
         cells, places = cells[fresh], places[fresh]
     if len(cells) == 0:
         return None

@@ -18,9 +18,8 @@ from turtlebag.datasets.types import Twist
 Kind = Literal["wait", "clear", "back_up", "rotate"]
 
 
-# Less of a move [m] or a turn [rad] is none; so far [m] on is elsewhere: there the ladder starts from its
-# foot again, and a look shows what one from here did not.
-MOVED_M, MOVED_RAD, ELSEWHERE_M = 0.06, 0.25, 0.5
+# Less of a move [m] or a turn [rad] is none; driven so far [m] on, the ladder starts from its foot again.
+MOVED_M, MOVED_RAD, PROGRESS_M = 0.06, 0.25, 0.5
 ROTATE_W = 0.6
 """How fast it turns [rad/s]."""
 

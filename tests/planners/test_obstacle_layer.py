@@ -19,8 +19,7 @@ from turtlebag.planners.rolling import (
     _rim,
     _shifted,
 )
-from turtlebag.planners.tasks.frontier import VIEW_M, frontiers, next_view
-from turtlebag.planners.tasks.recovery import ELSEWHERE_M
+from turtlebag.planners.tasks.frontier import SPENT_M, VIEW_M, frontiers, next_view
 
 RES = 0.1
 
@@ -249,7 +248,7 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed):
     for r, c in np.argwhere(np.isfinite(ways)):
         place = grid.center_of(np.array([r, c]))
         gaps = np.hypot(*(spots - [r, c]).T) * RES
-        if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= ELSEWHERE_M:
+        if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= SPENT_M:
             continue
         label = {labels[tuple(s)] for s in spots[gaps <= gaps.min() + 1e-9]}
         worth = {np.sum(labels == k) * RES for k in label}
