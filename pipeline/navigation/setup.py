@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.durations import LONGEST_S
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
@@ -150,7 +151,7 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     if request.task == "goal":
         changes.update(SINGLE_GOAL)
     if request.timeout_s is not None:
-        changes["timeout"] = request.timeout_s
+        changes["timeout"] = min(request.timeout_s, LONGEST_S)
     if request.laps is not None:
         changes["laps"] = request.laps
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})

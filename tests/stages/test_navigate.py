@@ -14,8 +14,9 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.setup import Request, prepare
+from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, Request, prepare
 from turtlebag.pipeline.stages.navigate import navigate
+from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
@@ -167,3 +168,11 @@ def test_avoid_prints_its_decisions_and_touches_nothing_in_ten_seconds(tmp_path)
     assert metrics["goals"] == []
     assert metrics["time_s"] == pytest.approx(10.0)
     assert len(load_tum(tmp_path / "run" / "trajectory.tum")) == 50
+
+
+@pytest.mark.parametrize("timeout_s", [1e300, float("inf")])
+def test_a_timeout_beyond_any_run_is_none(timeout_s):
+    request = Request(task="goal", seed=1, goal=SE2.from_xyt(1.0, 0.0, 0.0), timeout_s=timeout_s)
+    mission = prepare(request, BURGER, NavigateConfig())
+    goals = GoalSequence(mission.waypoints, mission.config.sequence)
+    assert all(goals.update(now) is not None for now in (0, round(MAX_SIMULATED_S * 1e9)))
