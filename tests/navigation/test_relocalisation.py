@@ -55,6 +55,16 @@ def test_a_kidnapped_robot_stops_finds_itself_and_arrives(true_map):
 
 
 @pytest.mark.slow
+def test_carried_off_beside_its_own_twin_a_robot_does_not_count_goals_before_it_knows(true_map):
+    kidnap = FaultConfig(kidnap=((6.0, -1.12, -1.87, 1.63),))
+    start, goal = SE2.from_xyt(1.0, 1.7, 0.0), SE2.from_xyt(0.0, 2.0, 0.0)
+    episode = run(true_map, kidnap, seed=2, start=start, goal=goal, timeout_s=90.0, keepout=())
+    (outcome,) = episode.metrics["goals"]
+    assert outcome["status"] == "reached"
+    assert outcome["error_m"] < 0.05
+
+
+@pytest.mark.slow
 def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(true_map):
     told = SE2.from_xyt(-2.9, -0.4, 0.5)
     goal = SE2.from_xyt(-0.55, -0.55, 0.0)
