@@ -31,7 +31,7 @@ N = len(HEADINGS)
 BACKWARDS, TURN = 2.0, 0.2
 """What driving backwards costs a cell, and turning by one heading, beside a cell forwards."""
 SIDEWAYS = math.cos(2.0 * math.pi / N)
-"""A step whose direction has a smaller cosine with the heading is no drive: it is off by a heading on average."""
+"""A step whose direction has a smaller cosine with the heading is no drive: off by a mean heading."""
 
 
 class Lattice:
