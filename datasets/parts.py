@@ -51,7 +51,7 @@ def part_of(*ours: str) -> BeforeValidator:
     def known(name: object) -> str:
         if isinstance(name, str) and (name in ours or is_own(name)):
             return name
-        said = "{name} is none of {ours}, nor a class of yours (module:Class)"
+        said = "expected {ours} or your own class (module:Class), not {name}"
         raise PydanticCustomError("part", said, {"name": repr(name), "ours": ", ".join(ours)})
 
     return BeforeValidator(known)

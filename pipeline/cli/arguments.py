@@ -34,6 +34,10 @@ def epilog(example: str) -> dict[str, Any]:
     return {"epilog": f"example:\n  {example}", "formatter_class": raw}
 
 
+REPEATED: dict[str, Any] = {"action": "append", "default": []}
+"""Of an option that may be given more than once: its values make a list."""
+
+
 def option(
     parser: argparse.ArgumentParser,
     name: str,
@@ -44,18 +48,6 @@ def option(
 ) -> None:
     """An option that takes a value, or an argument where the name has no dashes."""
     parser.add_argument(name, metavar=metavar, help=text, type=kind, **more)
-
-
-def repeated(
-    parser: argparse.ArgumentParser,
-    name: str,
-    metavar: str,
-    text: str,
-    kind: Callable[[str], Any] = str,
-    **more: Any,
-) -> None:
-    """An option that may be given more than once: a list."""
-    option(parser, name, metavar, text, kind, action="append", default=[], **more)
 
 
 def flag(parser: argparse.ArgumentParser, name: str, text: str) -> None:
@@ -85,12 +77,13 @@ def output(args: argparse.Namespace) -> Output:
 def add_config(parser: argparse.ArgumentParser) -> None:
     """--config and --set."""
     option(parser, "--config", "FILE", "YAML file with settings", Path)
-    repeated(parser, "--set", "KEY=VALUE", "override one setting; may be repeated", dest="settings")
+    text = "override one setting; may be repeated"
+    option(parser, "--set", "KEY=VALUE", text, dest="settings", **REPEATED)
 
 
 def add_world(parser: argparse.ArgumentParser, seed_value: int) -> None:
     """What is simulated: --world, --robot, --seed and --start."""
-    text = "world: a name, a YAML or SDF file, or a class of yours (module:Class)"
+    text = "world: a name, a YAML or SDF file, or your own class (module:Class)"
     option(parser, "--world", "W", text, required=True)
     option(parser, "--robot", "R", "robot: a name or a YAML file (default: the world's own)")
     add_seed(parser, seed_value)

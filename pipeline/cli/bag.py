@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, epilog, option, output, repeated
+from turtlebag.pipeline.cli.arguments import REPEATED, add_output, epilog, option, output
 from turtlebag.pipeline.terminal.messages import log, log_notes, number_of, print_table
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     def action(
         name: str, act: Callable[[argparse.Namespace], int], text: str, example: str
     ) -> argparse.ArgumentParser:
-        told = f"{text[0].upper()}{text[1:]}."
-        sub = actions.add_parser(name, help=text, description=told, **epilog(example))
+        description = f"{text[0].upper()}{text[1:]}."
+        sub = actions.add_parser(name, help=text, description=description, **epilog(example))
         option(sub, "bag", "BAG", "record folder, bag folder or bag file", Path)
         sub.set_defaults(run=act)
         return sub
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(sub, "NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag", what="OUT")
     text = "storage format of the rosbag2 folder (default: mcap)"
     sub.add_argument("--storage", choices=("mcap", "sqlite3"), help=text)
-    repeated(sub, "--exclude", "TOPIC", "topic to leave out; may be repeated")
+    option(sub, "--exclude", "TOPIC", "topic to leave out; may be repeated", **REPEATED)
 
 
 STATUS_ROWS = 3

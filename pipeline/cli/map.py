@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.pipeline.cli.arguments import (
+    REPEATED,
     add_config,
     add_laser,
     add_output,
@@ -13,7 +14,6 @@ from turtlebag.pipeline.cli.arguments import (
     laser,
     option,
     output,
-    repeated,
 )
 
 EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/records/tour/truth"
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--truth", "DIR", text, Path)
     option(parser, "--relations", "FILE", "relations file of a benchmark: adds error metrics", Path)
     text = "another recording of the same place to add to the map; may be repeated"
-    repeated(parser, "--also", "INPUT", text, Path)
+    option(parser, "--also", "INPUT", text, Path, **REPEATED)
     text = "extend an earlier map: INPUT is added to its graph, with the same settings"
     option(parser, "--continue", "MAP_DIR", text, Path, dest="continued")
     add_laser(parser, "INPUT")

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     add_world(parser, 0)
     parser.add_argument(
-        "--task", required=True, choices=OrOwn(TASKS), help="task to run, or a class of yours"
+        "--task", required=True, choices=OrOwn(TASKS), help="task to run, or your own class (module:Class)"
     )
     add_map(parser, "navigate", required=False)
     text = "initial pose given to the robot: a pose, its true start, or global localisation"

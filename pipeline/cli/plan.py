@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--goal", "X,Y,YAW", "goal pose", required=True)
     names = get_args(PlannerName)
     text = f"OMPL planner: {', '.join(names)} (default: BITstar for a disc, else RRTConnect)"
-    option(parser, "--planner", "P", f"{text}, or a class of yours", choices=OrOwn(names))
+    option(parser, "--planner", "P", f"{text}, or your own class (module:Class)", choices=OrOwn(names))
     flag(parser, "--compare", "run every planner and compare the paths")
     add_seed(parser, 0)
     add_config(parser)

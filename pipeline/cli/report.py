@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, flag, option, output, repeated
+from turtlebag.pipeline.cli.arguments import REPEATED, add_output, flag, option, output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     flag(parser, "--index", "make a sortable table of all outputs below DIR instead")
     flag(parser, "--no-animation", "leave out the animations, for a smaller page")
     text = "file of another system to show next to ours (see compare); may be repeated"
-    repeated(parser, "--rival", "[NAME=]FILE", text)
+    option(parser, "--rival", "[NAME=]FILE", text, **REPEATED)
     add_rival_options(parser)
     add_output(parser)
 

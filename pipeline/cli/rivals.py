@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import pose, repeated
+from turtlebag.pipeline.cli.arguments import REPEATED, option, pose
 
 if TYPE_CHECKING:
     from turtlebag.datasets.rivals import RivalFiles
@@ -23,7 +23,7 @@ def add_rival_options(parser: argparse.ArgumentParser) -> None:
         ("times", "FILE", "times of its KITTI poses in seconds, one per line (default: those of the scans)"),
         ("shift", "SECONDS", "seconds to add to its stamps"),
     ):
-        repeated(parser, f"--rival-{name}", f"[NAME=]{value}", text)
+        option(parser, f"--rival-{name}", f"[NAME=]{value}", text, **REPEATED)
 
 
 def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:

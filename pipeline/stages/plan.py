@@ -111,7 +111,7 @@ def planner_settings(name: str | None) -> list[str]:
         return ["plan.planner=ompl", f"plan.ompl.planner={name}"]
     if not is_own(name):
         known = ", ".join(get_args(PlannerName))
-        raise InputError(f"--planner: {name!r} is none of {known}, nor a class of yours (module:Class)")
+        raise InputError(f"--planner: expected {known} or your own class (module:Class), not {name!r}")
     return [f"plan.planner={name}"]
 
 

@@ -173,8 +173,8 @@ def pose_of(value: Pose, what: str) -> SE2:
     return SE2.from_xyt(*(float(number) for number in xyt))
 
 
-def told_pose(value: Pose | str | None, *words: str) -> SE2 | str | None:
-    """What the robot is told of its place: a pose, one of the words, or nothing."""
+def initial_pose_of(value: Pose | str | None, *words: str) -> SE2 | str | None:
+    """The initial pose: a pose, one of the words, or None; InputError for anything else."""
     if value is None or (isinstance(value, str) and value in words):
         return value
     if isinstance(value, str):

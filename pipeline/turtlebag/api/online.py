@@ -151,7 +151,7 @@ class Mapper:
 
 
 class Localiser:
-    """Finds the robot on a map, scan by scan (AMCL, or a class of yours by the setting `localiser`).
+    """Finds the robot on a map, scan by scan (AMCL, or your own class with the setting `localiser`).
 
     `initial_pose` is where it is on the map at the first scan, or "global" to search the whole of it. Give it
     the observations of a simulator (`observe`), or scans of your own (`add`), not both. Settings are those of

@@ -176,19 +176,19 @@ class Report(_Page):
         super()._load()
         manifest = self._manifest
         self._places = {name: self.path / place for name, place in manifest.folders.items()}
-        self._shows = f"{len(self._places)} outputs"
 
     @cached_property
     def _mood_and_verdict(self) -> tuple[str, str]:
-        moods = [verdict(stage, stage_metrics(stage))[0] for stage in self._stages.values()]
-        return next((mood for mood in ("bad", "good") if mood in moods), "neutral"), self._shows
+        moods = [mood for mood, _ in self._verdicts.values()]
+        mood = next((mood for mood in ("bad", "good") if mood in moods), "neutral")
+        return mood, f"{len(self._places)} outputs"
 
-    @property
-    def _stages(self) -> dict[str, Stage]:
-        """The outputs that it shows, as far as they are still there."""
+    @cached_property
+    def _verdicts(self) -> dict[str, tuple[str, str]]:
+        """Of the outputs that it shows, as far as they are still there."""
         found = {name: place for name, place in self._places.items() if (place / "manifest.json").is_file()}
-        return {name: load_stage(place) for name, place in found.items()}
+        stages = {name: load_stage(place) for name, place in found.items()}
+        return {name: verdict(stage, stage_metrics(stage)) for name, stage in stages.items()}
 
     def _facts(self) -> dict[str, str]:
-        told = {name: verdict(stage, stage_metrics(stage))[1] for name, stage in self._stages.items()}
-        return {**told, "page": str(self.page)}
+        return {**{name: text for name, (_, text) in self._verdicts.items()}, "page": str(self.page)}

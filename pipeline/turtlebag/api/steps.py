@@ -24,7 +24,7 @@ from turtlebag.api.making import (
     setting_words,
     step,
     text_of,
-    told_pose,
+    initial_pose_of,
 )
 from turtlebag.api.outputs import Bag, Map, as_map
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
@@ -126,7 +126,7 @@ def localise(
     """
     given = {
         "map": as_map(map).yaml,
-        "initial_pose": told_pose(initial_pose, "global"),
+        "initial_pose": initial_pose_of(initial_pose, "global"),
         "laser": laser_text(laser, upside_down),
         "truth": truth,
         "seed": require_seed(seed),
@@ -247,10 +247,11 @@ def navigate(
     """Drive a task in closed loop with the simulator, recorded and measured.
 
     A patrol and a goal go by `map`; without one, a goal by odometry. `world` and `robot` are names or files
-    (default: those of the recording that the map was made from). `start` is the true pose in the world,
-    `initial_pose` what the robot is told of it: "start" tells the truth, "global" to search the map, None
-    nothing. `wiggle` turns the robot to and fro first. `takeover` is a file of intervals of teleop.
-    `keepout` are areas to stay out of: a file, outlines (n, 2) [m], or [] for none (default: the world's).
+    (default: those of the recording that the map was made from). `start` is the robot's true pose in the world,
+    `initial_pose` the pose that its localiser starts from: "start" for the true one, "global" to search the
+    whole map, None for none. `wiggle` turns the robot back and forth first. `takeover` is a file of teleop
+    intervals. `keepout` are areas to stay out of: a file, outlines (n, 2) [m], or [] for none (default: the
+    world's).
 
     A task that fails is a result, too: see `success` and `goals`. InputError for a bad goal, map or name.
     """
@@ -274,7 +275,7 @@ def navigate(
             task=told.pop("task"),
             map=None if on is None else on.yaml,
             start=None if start is None else pose_of(start, "start"),
-            initial_pose=None if on is None else told_pose(initial_pose, "start", "global"),
+            initial_pose=None if on is None else initial_pose_of(initial_pose, "start", "global"),
             seed=require_seed(seed),
             **told,
             wiggle=wiggle,
