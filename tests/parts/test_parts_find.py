@@ -141,7 +141,7 @@ def test_what_is_wrong_with_a_name_is_said_in_one_line(here, name, said):
 def test_a_setting_takes_our_names_and_classes_and_nothing_else():
     assert load_config(SlamConfig, None, ["front_end=my.module:Mine"]).front_end == "my.module:Mine"
     with pytest.raises(
-        InputError, match="expected lines, kiss_icp, wheels or your own class .*, not 'linse'"
+        InputError, match=r"expected lines, kiss_icp, wheels or your own class .*, not 'linse'"
     ):
         load_config(SlamConfig, None, ["front_end=linse"])
     with pytest.raises(InputError, match="or your own class"):

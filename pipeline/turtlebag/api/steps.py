@@ -15,6 +15,7 @@ from turtlebag.api.making import (
     PathLike,
     Pose,
     TemporaryFolder,
+    initial_pose_of,
     laser_text,
     list_of,
     part_name,
@@ -24,7 +25,6 @@ from turtlebag.api.making import (
     setting_words,
     step,
     text_of,
-    initial_pose_of,
 )
 from turtlebag.api.outputs import Bag, Map, as_map
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
@@ -247,8 +247,8 @@ def navigate(
     """Drive a task in closed loop with the simulator, recorded and measured.
 
     A patrol and a goal go by `map`; without one, a goal by odometry. `world` and `robot` are names or files
-    (default: those of the recording that the map was made from). `start` is the robot's true pose in the world,
-    `initial_pose` the pose that its localiser starts from: "start" for the true one, "global" to search the
+    (default: those of the recording that the map was made from). `start` is the true pose in the world,
+    `initial_pose` the pose that the localiser starts from: "start" for the true one, "global" to search the
     whole map, None for none. `wiggle` turns the robot back and forth first. `takeover` is a file of teleop
     intervals. `keepout` are areas to stay out of: a file, outlines (n, 2) [m], or [] for none (default: the
     world's).
