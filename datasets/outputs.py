@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -203,6 +204,7 @@ def write_manifest(
     )
 
 
+@cache
 def package_versions() -> dict[str, str]:
     """Installed versions of the packages whose numerics shape the results."""
     found = {}

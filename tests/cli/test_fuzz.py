@@ -69,17 +69,17 @@ def test_a_command_that_does_not_end_in_time_is_no_success(monkeypatch, tmp_path
 
     monkeypatch.setattr("tests.helpers.fuzz_inputs.main", endless)
     monkeypatch.setattr("tests.helpers.fuzz_inputs.WAITING", 5)
-    assert "more than 0.2 s" in complaint(["map", "x"], tmp_path, seconds=0.2)
+    assert "more than 0.05 s" in complaint(["map", "x"], tmp_path, seconds=0.05)
 
 
 @pytest.mark.slow
 def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
     @njit(cache=False)
     def kernel(values):
-        return (values * 2.0).sum() + np.sort(values)[0]
+        return (values * 2.0).sum()
 
     def compiles(words):
-        assert kernel(np.ones(3)) == 7.0
+        assert kernel(np.ones(3)) == 6.0
         while words[0] == "endless":
             pass
         return 0
@@ -87,9 +87,9 @@ def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
     monkeypatch.setattr("tests.helpers.fuzz_inputs.main", compiles)
     monkeypatch.setattr("tests.helpers.fuzz_inputs.WAITING", 600)
     begin = time.process_time()
-    assert complaint(["short"], tmp_path, seconds=0.2) == ""
-    assert time.process_time() - begin > 0.4
-    assert "more than 0.2 s" in complaint(["endless"], tmp_path, seconds=0.2)
+    assert complaint(["short"], tmp_path, seconds=0.1) == ""
+    assert time.process_time() - begin > 0.2
+    assert "more than 0.1 s" in complaint(["endless"], tmp_path, seconds=0.1)
 
 
 def refusal(read, given):

@@ -132,15 +132,16 @@ def _file(rng, chain, scratch, name):
 
 def _config(rng, chain, scratch, stage):
     """`--config FILE` or `--set KEY=VALUE` from the stage's own saved settings."""
-    good = yaml.safe_load((chain / stage / "config.yaml").read_text())
+    good = yaml.load((chain / stage / "config.yaml").read_text(), yaml.CSafeLoader)
     if stage == "record":
         good = {"sim": good["sim"]}
     if rng.random() < 0.8:
-        (scratch / "config.yaml").write_text(yaml.safe_dump(good))
+        (scratch / "config.yaml").write_text(yaml.dump(good, Dumper=yaml.CSafeDumper))
         if rng.random() < 0.15:
             broken(rng, scratch / "config.yaml")
         else:
-            (scratch / "config.yaml").write_text(yaml.safe_dump(tree_broken(rng, good)))
+            text = yaml.dump(tree_broken(rng, good), Dumper=yaml.CSafeDumper)
+            (scratch / "config.yaml").write_text(text)
         return ["--config", scratch / "config.yaml"]
     way, node = [], good
     while isinstance(node, dict) and node:

@@ -1,4 +1,4 @@
-"""Campaigns in processes of their own: killed and started again, on a scheduler with four workers."""
+"""Campaigns in processes of their own: killed and started again, on a scheduler with three workers."""
 
 import os
 import signal
@@ -24,14 +24,14 @@ stages: {make: "fake --size {size} --seed {seed}"}
 results: {error_m: "make:error"}
 """
 SHARED = CAMPAIGN.replace("{make:", '{base: "base --size {size} --seed 0", make:') + "shared: [base]\n"
-# Loaded by the command and by every worker: stages that take a moment and say which process ran them.
+# Loaded by the command and by every worker: stages that take TAKES seconds and say which process ran them.
 STAND_IN = """
 import os, sys, time
 from pathlib import Path
 from turtlebag.pipeline.campaign import leases
 from turtlebag.datasets.outputs import Output, write_json, write_manifest
 
-leases.LEASE_S, leases.BEAT_S = 4.0, 0.3
+leases.LEASE_S, leases.BEAT_S = 2.5, 0.3
 
 def main(argv):
     out = Path(argv[argv.index("--out") + 1])
@@ -39,7 +39,7 @@ def main(argv):
     if argv[0] == "base":
         note.with_suffix(".begun").touch()
         time.sleep(0.5)
-    time.sleep(0.15)
+    time.sleep(float(os.environ.get("TAKES", "0")))
     note.touch()
     if argv[2] == "6" and argv[4] == "3":
         raise RuntimeError("a defect")
@@ -66,8 +66,8 @@ def place(tmp_path):
     return tmp_path
 
 
-def start(place, *words, at=None):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "RAN": str(place / "ran")}
+def start(place, *words, at=None, **more):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "RAN": str(place / "ran"), **more}
     with (place / "log").open("ab") as log:
         return subprocess.Popen(
             [sys.executable, *map(str, words)],
@@ -115,7 +115,7 @@ def undisturbed(place, monkeypatch):
 
 def test_a_killed_campaign_goes_on_where_it_was_and_ends_in_the_same_bytes(place, monkeypatch):
     run = ["stand_in.py", "small.yaml"]
-    killed = start(place, *run, "parts")
+    killed = start(place, *run, "parts", TAKES="0.15")
     wait_until(lambda: rows(place / "parts.partial") >= 4, killed)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
@@ -141,7 +141,7 @@ def begun(place):
     ]
 
 
-def test_four_workers_with_nothing_but_a_store_in_common_survive_the_loss_of_one(place):
+def test_three_workers_with_nothing_but_a_store_in_common_survive_the_loss_of_one(place):
     (place / "small.yaml").write_text(SHARED)
     scheduler = start(
         place,
@@ -158,11 +158,11 @@ def test_four_workers_with_nothing_but_a_store_in_common_survive_the_loss_of_one
         wait_until((place / "where").exists, scheduler)
         options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", "."]
         options += ["--scheduler-file", place / "where", "--preload", place / "stand_in.py"]
-        for number in range(4):
+        for number in range(3):
             own = place / f"worker-{number}"
             own.mkdir()
-            workers.append(start(place, "-m", "distributed.cli.dask_worker", *options, at=own))
-        wait_until(lambda: (place / "log").read_text().count("Registered to:") == 4, scheduler)
+            workers.append(start(place, "-m", "distributed.cli.dask_worker", *options, at=own, TAKES="0.15"))
+        wait_until(lambda: (place / "log").read_text().count("Registered to:") == 3, scheduler)
         address = next(
             line.split()[-1] for line in (place / "log").read_text().splitlines() if "Scheduler at:" in line
         )
