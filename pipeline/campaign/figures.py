@@ -34,12 +34,10 @@ def draw_figures(campaign: Campaign, rows: Sequence[Row], album: Album) -> None:
         shares = [words(factor) for factor in (wish.lines, wish.panels) if factor]
         each = f", for each {' and '.join(shares)}" if shares else ""
         caption = f"{label} over {words(wish.x)}{each}."
+        caption = caption[0].upper() + caption[1:]
         name = f"{number:02d}-{slug(wish.y)}-over-{slug(wish.x)}"
-        caption, drawn = (
-            caption[0].upper() + caption[1:],
-            (rows, wish, label, wish.unit or unit, campaign.seed),
-        )
-        album.add(name, wish.title or label, caption[0].upper() + caption[1:], result_over_factor, *drawn)
+        drawn = (rows, wish, label, wish.unit or unit, campaign.seed)
+        album.add(name, wish.title or label, caption, result_over_factor, *drawn)
 
 
 def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str, seed: int) -> Figure:

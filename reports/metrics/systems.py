@@ -229,7 +229,7 @@ def _map_notes(placed: Placed, grid: OccupancyGrid) -> list[str]:
     notes = []
     if np.hypot(x, y) > grid.resolution or abs(yaw) > 0.01:
         told = f"by {x:.2f}, {y:.2f} m and turned by {np.rad2deg(yaw):.1f}°".replace("-", "\u2212")
-        notes.append(f"Its map was moved {told}to align it with the other walls.")
+        notes.append(f"Its map was moved {told} to align it with the other walls.")
     if not len(walls(grid)):
         notes.append("Its map has no walls.")
     elif placed.share < LAID:

@@ -1,6 +1,7 @@
 """Other systems beside ours: whatever their frame, clock and rate, and what is wrong with them is said."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -68,6 +69,7 @@ def test_a_rival_in_another_frame_is_measured_by_the_same_numbers_as_ours(tree):
     assert rival["ate_aligned_3d_m"]["rmse"] == pytest.approx(rival["ate_aligned_m"]["rmse"], rel=1e-6)
     assert rival["map"]["occupied_error_m"]["within_one_cell"] > 0.96
     assert rival["map_moved"] == pytest.approx(ELSEWHERE.inverse().xyt.tolist(), abs=0.02)
+    assert any(re.search(r"map was moved by .* m and turned by \S+° to align", note) for _, note in found.notes)
     assert "TurtleBag 0.7" in found.sentence
     best = {row.spec.path: [cell.best for cell in row.cells] for _, _, rows in found.sections for row in rows}
     assert best["ate_aligned_m.rmse"] == [True, False]
