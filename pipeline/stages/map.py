@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from turtlebag.datasets.bags.mapping_input import NoScans
 from turtlebag.datasets.errors import InputError
@@ -91,8 +90,8 @@ def _mapped(inputs: MapInputs, config: Path | None, settings: Sequence[str], *, 
     return _map_scans(recordings, settled, earlier and earlier[0], edits, explain=explain)
 
 
-def _metrics(made: Mapped, references: References) -> dict[str, Any]:
-    errors: dict[str, Any] = dict(references.errors(made.result.trajectory, made.result.grid))
+def _metrics(made: Mapped, references: References) -> Mapping[str, object]:
+    errors = references.errors(made.result.trajectory, made.result.grid)
     with_truth = made.with_truth if "ate_m" in errors else {}
     return {**summary(made.recording, made.result), **made.metrics, **errors, **with_truth}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Required, TypedDict, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -32,6 +32,22 @@ class PlanStageConfig(Settings, allow_inf_nan=False):
 
     costmap: CostmapConfig = CostmapConfig()
     plan: PlanConfig = PlanConfig()
+
+
+class PlanMetrics(TypedDict, total=False):
+    """What is known of a plan: `space` of one of OMPL's, `reason` without a path, and of a path its length,
+    the least clearance of the footprint, the margin it was planned with [m] and how many poses it has.
+    `planners` are those that were compared."""
+
+    success: Required[bool]
+    planner: Required[str]
+    space: str
+    reason: str
+    length_m: float
+    min_clearance_m: float
+    margin_m: float
+    poses: int
+    planners: list[PlanMetrics]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,19 +134,20 @@ def planner_settings(name: str | None) -> list[str]:
 def rivals(config: PlanStageConfig) -> list[PlanStageConfig]:
     """The same settings with every planner that the space allows, the chosen one among them."""
     out = [config] if is_own(config.plan.planner) else []
-    by_ompl: dict[str, Any] = {"planner": "ompl"}
     for planner in get_args(PlannerName):
         try:
             ompl = OmplConfig.model_validate({**config.plan.ompl.model_dump(), "planner": planner})
         except ValidationError:
             continue  # this planner cannot work in this space
         out.append(
-            config.model_copy(update={"plan": config.plan.model_copy(update=by_ompl | {"ompl": ompl})})
+            config.model_copy(
+                update={"plan": config.plan.model_copy(update={"planner": "ompl", "ompl": ompl})}
+            )
         )
     return out
 
 
-def _line(metrics: dict[str, Any], seconds: float) -> str:
+def _line(metrics: PlanMetrics, seconds: float) -> str:
     if not metrics["success"]:
         return f"{metrics['planner']}: {metrics['reason']}"
     return (
@@ -154,9 +171,9 @@ def search(costmap: Costmap, query: Query, config: PlanStageConfig) -> tuple[Pla
 
 def plan_metrics(
     costmap: Costmap, spec: RobotSpec, found: Plan | None, reason: str, config: PlanStageConfig
-) -> dict[str, Any]:
+) -> PlanMetrics:
     """Length, clearance of the footprint along the path, and what found it."""
-    metrics: dict[str, Any] = {"success": found is not None, "planner": config.plan.name}
+    metrics: PlanMetrics = {"success": found is not None, "planner": config.plan.name}
     if not is_own(config.plan.planner):
         metrics["space"] = config.plan.ompl.space
     if found is None:

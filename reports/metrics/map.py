@@ -58,7 +58,7 @@ def visible_surface(true_grid: OccupancyGrid, grid: OccupancyGrid) -> NDArray[np
 
 def map_error(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapError:
     """Distances between mapped occupied cells and the visible true surface, both ways."""
-    xy_mapped = grid.center_of(np.argwhere(occupied(grid)))
+    xy_mapped = walls(grid)
     xy_true = true_grid.center_of(np.argwhere(visible_surface(true_grid, grid)))
     return MapError(xy_mapped, nearest_m(xy_mapped, xy_true), xy_true, nearest_m(xy_true, xy_mapped))
 
@@ -70,10 +70,14 @@ def nearest_m(points: Array, targets: Array) -> Array:
     return np.asarray(scipy.spatial.cKDTree(targets).query(points)[0], dtype=np.float64)
 
 
+def walls(grid: OccupancyGrid) -> Array:
+    """Centres of the occupied cells, (n, 2)."""
+    return grid.center_of(np.argwhere(occupied(grid)))
+
+
 def walls_in(grid: OccupancyGrid, other: OccupancyGrid) -> NDArray[np.bool_]:
     """Which occupied cells of a grid, (n,) in their order, have one of another within a cell."""
-    xy, walls = (one.center_of(np.argwhere(occupied(one))) for one in (grid, other))
-    return nearest_m(xy, walls) < 1.5 * max(grid.resolution, other.resolution)
+    return nearest_m(walls(grid), walls(other)) < 1.5 * max(grid.resolution, other.resolution)
 
 
 class WallErrors(TypedDict):

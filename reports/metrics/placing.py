@@ -10,7 +10,7 @@ import scipy
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.reports.metrics.map import occupied
+from turtlebag.reports.metrics.map import walls
 from turtlebag.reports.metrics.trajectory import fit_rigid
 
 REACHES_M = (1.5, 1.0, 0.6, 0.4, 0.25, 0.15)
@@ -34,11 +34,6 @@ class Placed:
     def moved(self, grid: OccupancyGrid) -> OccupancyGrid:
         """The map where it was laid."""
         return replace(grid, T_map_grid=self.T_ref_map @ grid.T_map_grid)
-
-
-def walls(grid: OccupancyGrid) -> Array:
-    """Centres of the occupied cells, (n, 2)."""
-    return grid.center_of(np.argwhere(occupied(grid)))
 
 
 def place(grid: OccupancyGrid, walls_ref: Array, cell_m: float, guesses: Sequence[SE2]) -> Placed:
