@@ -219,9 +219,9 @@ def compare(
     words, known, files = rival_options(rivals)
     if (other is None) == (not files):
         raise InputError("compare: give another output, or rivals by their names")
-    given = {"output": path_of(output, "output"), "other": other, **files}
+    path, given = path_of(output, "output"), {"output": output, "other": other, **files}
     with step("compare", out, force=force, inputs=given) as now:
-        found = make(now.arguments(output, *(words if other is None else [other]), **known))
+        found = make(now.arguments(path, *(words if other is None else [other]), **known))
         if isinstance(found, SystemComparison):
             now.notes += [f"{name}: {note}" for name, note in found.notes]
         return Comparison.of(now)
