@@ -44,7 +44,7 @@ class RivalFiles:
     """Files of one rival. `base` (x, y [m], yaw [rad]) is where on the robot sits what its trajectory tracks;
     `shift_s` is added to its stamps; `times` are the stamps of a KITTI file.
 
-    InputError for a name that is none or is taken, and for what is no such file.
+    InputError for a name that is none or is taken, and for what needs a trajectory that is not there.
     """
 
     name: str
@@ -61,11 +61,6 @@ class RivalFiles:
             raise InputError(f"{self.name}: this name is taken; give this system another")
         if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
             raise InputError(f"{self.name} has no trajectory")
-        for what, path in self.paths.items():
-            if path is not None and path.is_dir():
-                raise InputError(f"{path}: is a folder; give the file of the {what} in it")
-            if path is not None and path.suffix.lower() in IMAGES:
-                raise InputError(f"{path}: is the image of a map; give its yaml file")
         if not abs(self.shift_s) < LONGEST_S:
             raise InputError(f"{self.name}: cannot be shifted by {self.shift_s:g} s")
 
@@ -97,6 +92,11 @@ class System:
 
 def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
     """Read another system's files; `scans_ns` are the stamps of the scans. InputError if they are invalid."""
+    for what, path in files.paths.items():
+        if path is not None and path.is_dir():
+            raise InputError(f"{path}: is a folder; give the file of the {what} in it")
+        if path is not None and path.suffix.lower() in IMAGES:
+            raise InputError(f"{path}: is the image of a map; give its yaml file")
     grid = None if files.map is None else load_map(files.map)
     if files.trajectory is None:
         return System(files.name, None, grid)

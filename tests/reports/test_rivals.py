@@ -255,7 +255,7 @@ def test_a_rival_of_two_worlds_and_a_rival_of_a_recording_alone_are_refused(tree
 
 
 @pytest.mark.slow
-def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path):
+def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path, monkeypatch):
     rival = [f"--rival=carto={tree / 'carto.tum'}"]
     copy = tmp_path / "carto.tum"
     copy.write_bytes((tree / "carto.tum").read_bytes())
@@ -268,6 +268,10 @@ def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path):
     rows = (out / "tables/numbers.csv").read_text().splitlines()
     assert sum("record,rivals,systems.carto.ate_" in row for row in rows) == 4
     assert " & TurtleBag & carto & again" in (out / "tables/record-rivals.tex").read_text()
+    # Its files are named as seen from the report, wherever the command is run.
+    (tmp_path / "elsewhere/carto.tum").mkdir(parents=True)
+    (tmp_path / "elsewhere/here").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere/here")
     found = verify(out)
     assert found.problems == []
     assert any(check.key.startswith("record/rivals:systems.again") for check in found.checks)
