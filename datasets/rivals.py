@@ -39,6 +39,12 @@ def kind_of(path: Path) -> str:
     return "map" if path.suffix in (".yaml", ".yml") else "trajectory"
 
 
+def require_name(name: str) -> None:
+    """InputError for what is no name of a system."""
+    if not NAME.fullmatch(name):
+        raise InputError(f"{name}: names of other systems may have only letters, digits, - and _")
+
+
 @pydantic_dataclass(frozen=True)
 class RivalFiles:
     """Files of one rival. `base` (x, y [m], yaw [rad]) is where on the robot sits what its trajectory tracks;
@@ -55,8 +61,7 @@ class RivalFiles:
     shift_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not NAME.fullmatch(self.name):
-            raise InputError(f"{self.name}: names of other systems may have only letters, digits, - and _")
+        require_name(self.name)
         if self.name in (OURS, TRUTH):
             raise InputError(f"{self.name}: this name is taken; give this system another")
         if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):

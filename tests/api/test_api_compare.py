@@ -90,6 +90,10 @@ WRONG = {
     "nothing of ours": (lambda t: tb.compare(None, t / "b"), "^output: expected a path, not None"),
     "two kinds": (lambda t: tb.compare(t / "a", t / "record"), "nothing to compare"),
     "a list": (lambda t: tb.compare(t / "a", rivals=["x"]), "^rivals: expected a mapping .*, not a list"),
+    "no name": (
+        lambda t: tb.compare(t / "a", rivals={"x=y": t / "other.tum"}),
+        "^x=y: names of",
+    ),
     "no file": (lambda t: tb.compare(t / "a", rivals={"x": 3}), "^rivals x: expected a path, not a int"),
     "nothing of it": (lambda t: tb.compare(t / "a", rivals={"x": tb.Rival()}), "^x has no trajectory"),
     "a map alone": (

@@ -13,6 +13,7 @@ import numpy as np
 from turtlebag.api.making import PathLike, Pose, in_a_line, path_if, path_of, pose_of, pose_text
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import told_kind
+from turtlebag.datasets.rivals import require_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,7 @@ def rival_options(rivals: Rivals | None) -> tuple[list[str], dict[str, list[str]
     known: dict[str, list[str]] = {"rival_base": [], "rival_times": [], "rival_shift": []}
     read: dict[str, Path] = {}
     for name, given in (rivals or {}).items():
+        require_name(str(name))
         what = f"rivals {name}"
         one = given if isinstance(given, Rival) else Rival(path_of(given, what))
         files = {
