@@ -31,7 +31,7 @@ from pathlib import Path
 from turtlebag.pipeline.campaign import leases
 from turtlebag.datasets.outputs import Output, write_json, write_manifest
 
-leases.LEASE_S, leases.BEAT_S = 2.5, 0.3
+leases.LEASE_S, leases.BEAT_S = 4.0, 0.3
 
 def main(argv):
     out = Path(argv[argv.index("--out") + 1])
