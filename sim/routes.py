@@ -1,6 +1,6 @@
 """Routes through any world for the teleop scripts, planned on the true geometry.
 
-They are for the simulated driver only (see `teleop.py`); the robot just receives its commands.
+They are for the simulated driver only (see `teleop_scripts.py`); the robot just receives its commands.
 """
 
 from __future__ import annotations

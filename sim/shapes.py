@@ -51,7 +51,7 @@ class Solid:
         return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
     def radius_at(self, z: float) -> float:
-        """Of its section at height z, where that is a circle [m]."""
+        """Radius of its section at height z, if that is a circle [m]."""
         return self.radius
 
     def outline(self, low: float, high: float) -> tuple[Array, Array]:
@@ -75,7 +75,7 @@ class Ball(Solid):
     """A ball whose centre is midway between z_min and z_max; `radius` is its own."""
 
     def radius_at(self, z: float) -> float:
-        """Of its section at height z [m]."""
+        """Radius of its section at height z [m]."""
         up = z - 0.5 * (self.z_min + self.z_max)
         return float(np.sqrt(max(self.radius**2 - up**2, 0.0)))
 

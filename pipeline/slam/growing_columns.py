@@ -1,4 +1,4 @@
-"""Growing arrays with one row per scan; rows are appended to and removed from all of them together."""
+"""Growing arrays of one length; rows are appended to and removed from all of them together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 class Columns:
     """Named arrays of one length that grow along their first axis; room doubles, so appending costs little.
 
-    `columns[name]` are the rows so far, not copied; a column is there once rows of it were appended.
+    `columns[name]` are the rows so far, not copied; the first rows appended say which columns there are.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,9 @@ class Columns:
         return self._room[name][: self._count]
 
     def append(self, **rows: NDArray[Any]) -> None:
-        """More rows at the end, as many of each column."""
+        """More rows at the end, as many of each column; ValueError where columns are missing or new."""
+        if self._room and rows.keys() != self._room.keys():
+            raise ValueError(f"rows of {', '.join(rows)}; those before were of {', '.join(self._room)}")
         count = self._count + len(next(iter(rows.values())))
         for name, new in rows.items():
             room = self._room.get(name)

@@ -78,6 +78,15 @@ def test_clouds_of_which_some_were_dropped_are_those_of_the_rest():
         np.testing.assert_array_equal(getattr(found, name), getattr(some, name), err_msg=name)
 
 
+@pytest.mark.parametrize("late", [True, False])
+def test_odometry_that_comes_with_some_scans_only_is_refused(late):
+    mapper = Mapper(LOG.lidar, LOG.T_base_lidar)
+    mapper.add(LOG.scan(0), None if late else LOG.T_odom_base[0])
+    with pytest.raises(ValueError, match="those before were of stamp_ns, ranges"):
+        mapper.add(LOG.scan(1), LOG.T_odom_base[1] if late else None)
+    assert len(mapper) == 1
+
+
 def chain(n, rng):
     """Steps of a drive and one loop, with information of all kinds."""
     constraints = []
