@@ -36,7 +36,7 @@ TRUTH = around_the_room(150, laps=1.5)
 
 @pytest.fixture(scope="module")
 def log():
-    """Two laps of the room with drifting odometry."""
+    """One lap and a half of the room with drifting odometry."""
     return recording(ROOM, TRUTH, odometry=drifted(TRUTH))
 
 

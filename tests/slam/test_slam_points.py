@@ -77,6 +77,7 @@ def test_lidar_alone_undoes_its_own_turning():
     )
     alone = errors(run_slam(part, SlamConfig(sensors="lidar")).trajectory.poses, log.reference[:n])
     assert alone["m"] < 0.01
+    assert alone["worst_m"] < 0.02
     assert alone["near_deg"] < 0.5
     skewed = errors(
         run_slam(part, SlamConfig(sensors="lidar", deskew=False)).trajectory.poses, log.reference[:n]
@@ -113,13 +114,14 @@ def test_sweeps_are_undone_where_the_odometry_comes_with_the_scans_alone():
     alone = log.recorded(odometry=None)
     session = run_slam(alone.recording, SlamConfig()).session
     true = sweep_motion(log.recorded(odometry=log.truth).recording).xyt[1:-1]
-    assert np.percentile(np.abs(session.motion.xyt[1:-1] - true)[..., 2], 90) < 0.05
+    assert np.percentile(np.abs(session.motion.xyt[1:-1] - true)[..., 2], 90) < 0.006
 
 
 @pytest.mark.slow
 def test_sweeps_are_undone_by_the_scans_where_the_wheels_are_not_believed():
     """Wheels that count backwards for ten seconds bent each of these sweeps by twice the motion: 7 cm."""
-    log = arena(1, "fast").with_scans(slice(0, 180))
+    # of a shorter log they are so much that the odometry is left out
+    log = arena(1, "fast").with_scans(slice(0, 220))
     moved = log.odometry.steps()
     moved[80:130] *= -1.0
     wrong = log.with_steps(moved)
