@@ -169,8 +169,8 @@ class Tracker:
         self._field = None
         if self._front_end is None and self._has_matches(self.scan):
             self._front_end = self._make(self)
-        doublings = len(self.keys) / FIRST_CALIBRATION
-        if doublings >= 1.0 and np.log2(doublings).is_integer():
+        times_first = len(self.keys) / FIRST_CALIBRATION
+        if times_first >= 1.0 and np.log2(times_first).is_integer():
             self.calibrate()
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import turtlebag.pipeline.slam.mapper as mapper_module
+import turtlebag.pipeline.slam.tracker as tracker_module
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
+from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
@@ -17,6 +19,8 @@ from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.range_noise import RangeNoise
 from turtlebag.pipeline.slam.slam import run_slam
+from turtlebag.pipeline.slam.track import TrackingConfig
+from turtlebag.pipeline.slam.tracker import Tracker
 from turtlebag.pipeline.slam.wheels import Wheels
 
 TRUE = around_the_room(240, laps=3)
@@ -161,6 +165,8 @@ def test_odometry_that_drifts_does_not_carry_the_robot_off(whole):
     assert errors(LOG.T_odom_base.xyt, TRUE).max() > 0.5
     assert errors(given, TRUE).max() < 0.06
     assert errors(mapper.trajectory.poses.xyt, TRUE).max() < 0.04
+    closed = optimise(mapper.T_map_keys, mapper.constraints)
+    np.testing.assert_allclose(mapper.T_map_keys.xyt, closed.xyt, atol=5e-3)
     assert mapper.jumps
     assert not mapper.lost
     assert 0.0 < mapper.sigma_m < 0.2
@@ -188,6 +194,22 @@ def test_scans_that_a_later_one_tells_more_of_move_on_the_trajectory_as_on_the_t
     np.testing.assert_allclose(mapper.trajectory.poses.xyt[moved], np.tile(there, (len(moved), 1)), atol=1e-6)
 
 
+def test_the_odometry_is_calibrated_at_25_key_scans_and_whenever_they_have_doubled(monkeypatch):
+    asked = []
+
+    def calibrate(clouds, keys, T_track_keys, T_odom_keys):
+        asked.append(len(keys))
+        return Calibration()
+
+    monkeypatch.setattr(tracker_module, "calibrate", calibrate)
+    config = TrackingConfig(key_distance_m=0.1)
+    tracker = Tracker(make_clouds(LOG, 8.0, noise=NOISE), LOG, config, 8.0, Wheels)
+    for _ in range(len(LOG) - 1):
+        tracker.step()
+    assert 200 < len(tracker.keys) < 400
+    assert asked == [25, 50, 100, 200]
+
+
 @pytest.mark.slow
 def test_finish_gives_what_the_offline_mapper_gives():
     mapper, _ = driven(LOG, 120)
@@ -202,7 +224,11 @@ def test_finish_gives_what_the_offline_mapper_gives():
 def test_memory_is_that_of_the_area_and_the_map_stays_right(whole, monkeypatch):
     for name, count in {"TIDY_SCANS": 32, "LAST_SCANS": 16, "MOST_SCANS": 150, "PLACE_KEYS": 1}.items():
         monkeypatch.setattr(mapper_module, name, count)
-    mapper, given = driven(LOG)
+    mapper, given = Mapper(LOG.lidar, LOG.T_base_lidar), []
+    for k in range(len(LOG)):
+        given.append(mapper.add(LOG.scan(k), LOG.T_odom_base[k]).xyt)
+        np.testing.assert_allclose(mapper.trajectory.poses.xyt[-1], given[-1], atol=1e-9)
+    given = np.array(given)
     assert len(mapper) < 200 < len(LOG)
     assert len(mapper.T_map_keys) < 1.3 * whole[2]
     assert errors(given, TRUE).max() < 0.06
