@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, overload
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 LONGEST_S = 1e6
@@ -12,11 +14,20 @@ LONGEST_S = 1e6
 Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
 
 
-def nanoseconds(span_s: float) -> int:
-    """A span [s] in whole nanoseconds."""
-    return round(span_s * 1e9)
+@overload
+def nanoseconds(span_s: float) -> int: ...
+@overload
+def nanoseconds(span_s: NDArray[np.float64]) -> NDArray[np.int64]: ...
+def nanoseconds(span_s: float | NDArray[np.float64]) -> int | NDArray[np.int64]:
+    """A span [s], or an array of them, in whole nanoseconds."""
+    ns = span_s * 1e9
+    return np.round(ns).astype(np.int64) if isinstance(ns, np.ndarray) else round(ns)
 
 
-def seconds(span_ns: int) -> float:
-    """A span of nanoseconds [s]."""
-    return span_ns * 1e-9
+@overload
+def seconds(span_ns: float) -> float: ...
+@overload
+def seconds(span_ns: NDArray[np.int64]) -> NDArray[np.float64]: ...
+def seconds(span_ns: float | NDArray[np.int64]) -> float | NDArray[np.float64]:
+    """A span of nanoseconds [s], or an array of them."""
+    return span_ns * np.float64(1e-9) if isinstance(span_ns, np.ndarray) else span_ns * 1e-9

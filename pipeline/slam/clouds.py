@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.deskew import deskewed
+from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -149,19 +150,20 @@ def way_and_turn(steps: Array) -> Array:
 
 
 def sweep_motion(recording: Recording) -> SE2 | None:
-    """Base poses (n, KNOTS) during each sweep seen from its start, by odometry; None without a stream.
+    """Base poses (n, KNOTS) during each sweep seen from its start, by odometry; None without a stream
+    or where a sweep takes no time.
 
     The last one is that at the end of the sweep. Where the odometry jumps the sweep before stands in.
     """
-    if recording.odometry is None or len(recording.odometry) < 2:
+    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    if recording.odometry is None or len(recording.odometry) < 2 or sweep_s == 0.0:
         return None
-    sweep_ns = recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9
-    after_ns = np.round(np.arange(KNOTS + 1) / KNOTS * sweep_ns).astype(np.int64)
+    after_ns = nanoseconds(np.arange(KNOTS + 1) / KNOTS * sweep_s)
     during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
     T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
     # a jump may end within a sweep, and move its end by little: each part is asked
     moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
-    part_s = np.full(len(moved), max(sweep_ns * 1e-9 / KNOTS, 1e-9))
+    part_s = np.full(len(moved), abs(sweep_s) / KNOTS)
     too_far = moved > fastest(moved, part_s) * part_s[:, None]
     jumps = too_far.reshape(len(T_odom_knots), -1).any(axis=1)
     motion = T_odom_knots[:, :1].inverse() @ T_odom_knots[:, 1:]
@@ -175,10 +177,10 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     sweep is the mean of those before and after.
     """
     sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
-    seconds = np.diff(recording.stamps_ns) * 1e-9
+    waits = seconds(np.diff(recording.stamps_ns))
     steps = T_track_base.steps()
-    known = (seconds > 0.0) & (seconds < GAP_S)
-    speed = np.where(known[:, None], steps / np.where(known, seconds, 1.0)[:, None], 0.0)
+    known = (waits > 0.0) & (waits < GAP_S)
+    speed = np.where(known[:, None], steps / np.where(known, waits, 1.0)[:, None], 0.0)
     around = np.concatenate([speed[:1], speed, speed[-1:]])
     whole = 0.5 * (around[:-1] + around[1:]) * sweep_s
     return SE2(whole[:, None] * (np.arange(1, KNOTS + 1) / KNOTS)[:, None])

@@ -8,22 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, ImuLog, LidarSpec, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.growing_columns import Columns
 
 # Odometry samples that reach back past the start of a sweep.
 RECENT = 64
-# Of a log that is heard from its middle on, odometry of so long before is heard, too [ns].
-BEFORE_NS = 10**9
+# Of a log that is heard from its middle on, odometry of so long before is heard, too [s].
+BEFORE_S = 1.0
 
 
 def heard(recording: Recording, first: int = 0) -> Iterator[tuple[Scan, SE2 | Trajectory | None]]:
     """The scans of a log from one on, with the odometry since the last one, as `Mapper.add` takes them."""
-    sweep_ns = round(recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9)
+    sweep_ns = nanoseconds(recording.lidar.time_increment * (recording.lidar.n_beams - 1))
     stream, begin = recording.odometry, 0
     if stream is not None and first > 0:
-        earlier = np.searchsorted(stream.stamps_ns, recording.stamps_ns[first] - BEFORE_NS)
+        earlier = np.searchsorted(stream.stamps_ns, recording.stamps_ns[first] - nanoseconds(BEFORE_S))
         begin = min(int(earlier), len(stream) - 1)
     for k in range(first, len(recording)):
         scan = recording.scan(k)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import ImuLog, Recording, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
@@ -75,7 +76,7 @@ def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[f
     """Sign of the gyro (-1: mounted upside down), and bias [rad/s], share of turn and turn per metre between
     it and the odometry; None when the two do not turn together."""
     turns, known = gyro.turns(stamps_ns)
-    waits = np.diff(stamps_ns) * 1e-9
+    waits = seconds(np.diff(stamps_ns))
     if np.count_nonzero(known) < FEWEST:
         return None
     for sign in (1.0, -1.0):
@@ -92,7 +93,7 @@ def _expected(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The turns (n,) that wheels without slip would tell by the gyro, and where it knows."""
     turns, known = gyro.turns(stamps_ns)
-    return sign * turns - _parts(sign * turns, steps, np.diff(stamps_ns) * 1e-9) @ found, known
+    return sign * turns - _parts(sign * turns, steps, seconds(np.diff(stamps_ns))) @ found, known
 
 
 class _Gyro:
@@ -104,7 +105,7 @@ class _Gyro:
         stamps, first = np.unique(imu.stamps_ns[good], return_index=True)
         self._stamps = stamps
         rate = rate[good][first]
-        waits = np.diff(stamps) * 1e-9
+        waits = seconds(np.diff(stamps))
         self._yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * waits)])[: len(stamps)]
         self._holes = np.concatenate([[0], np.cumsum(waits > HOLE_S)])[: len(stamps)]
 

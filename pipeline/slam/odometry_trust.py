@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -38,14 +39,15 @@ def too_fast(
 ) -> NDArray[np.bool_]:
     """Whether the poses (n,) move faster between scans (k,) and later ones (k,) than the robot ever drives or
     turns, (k,)."""
-    waits, steps = np.diff(recording.stamps_ns) * 1e-9, _moved(T_map_base, np.arange(len(T_map_base) - 1), 1)
+    waits = seconds(np.diff(recording.stamps_ns))
+    steps = _moved(T_map_base, np.arange(len(T_map_base) - 1), 1)
     seen = (waits > 0.0) & track.usable[1:] & track.usable[:-1]
     if not seen.any():
         return np.zeros(len(before), dtype=bool)
     # stamps jitter: no step counts as shorter than usual
     least_s = np.median(waits[seen])
     reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
-    wait = (recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
+    wait = seconds(recording.stamps_ns[after] - recording.stamps_ns[before])
     moved = _moved(T_map_base, before, after - before)
     allowed = reach * np.maximum(wait, least_s * (after - before))[:, None] + [AGREE_M, AGREE]
     return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
@@ -215,7 +217,7 @@ def _unlikely(recording: Recording, track: Track, unseen: NDArray[np.bool_]) -> 
     seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
     if not seen.any():
         return unlikely
-    waits = np.diff(recording.stamps_ns) * 1e-9
+    waits = seconds(np.diff(recording.stamps_ns))
     waits = np.maximum(waits, np.median(np.abs(waits)))
     # of several steps together: odometry held back for a moment is fast in the next
     moved = scipy.ndimage.uniform_filter1d([way_and_turn(steps)[:, 0], steps[:, 0], waits], RECENT, axis=1)

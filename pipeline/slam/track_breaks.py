@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S
@@ -108,7 +109,7 @@ def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
         if not 0 <= step < len(keys) - 1:
             continue
         agreed = agree(recording, track, before, after, T) and not fast
-        wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
+        wait = seconds(int(recording.stamps_ns[after] - recording.stamps_ns[before]))
         fits = track.overlap[after] >= LEAST_OVERLAP
         if not (agreed and fits and (wait < SHORT_S or sure[after])):
             broken[step] = True
@@ -122,7 +123,7 @@ def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
 def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Pairs (n, 2) of successive scans that `saw` something between which nothing was seen for long."""
     usable = np.flatnonzero(saw)
-    stamps = stamps_ns[usable] * 1e-9
+    stamps = seconds(stamps_ns[usable])
     if len(stamps) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     # stamps out of order make gaps that are none: the latest before against the earliest after

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.calibration import Calibration, calibrate
@@ -77,7 +78,7 @@ class Tracker:
             pose = self.pose if step is None else compose(self.pose, step)
             placed, moved = Placed(pose, np.zeros((3, 3)), 0.0), True
         else:
-            wait_s = float(self.stamps[self.scan] - self.stamps[before]) / 1e9
+            wait_s = seconds(int(self.stamps[self.scan] - self.stamps[before]))
             said = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
             require_placed(self._front_end, said, self.scan)
             # It may go on with its own arrays.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.scans import turned_over
+from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
@@ -80,7 +81,7 @@ def in_step(recording: Recording, timing: Timing) -> Recording:
 
 
 def _shifted(recording: Recording, late_s: float) -> Recording:
-    stream, late_ns = _stream(recording), round(late_s * 1e9)
+    stream, late_ns = _stream(recording), nanoseconds(late_s)
     shifted = Trajectory(stream.stamps_ns - late_ns, stream.poses)
     said = f"{abs(late_s):.2f} s {'behind' if late_s > 0.0 else 'ahead of'} the scans"
     return replace(
@@ -128,7 +129,7 @@ def compared_turns(recording: Recording) -> Timing:
             if other is None:
                 break
             sweep, scans = other, _sweeping(scans, other)
-    interval = float(np.median(np.diff(stream.stamps_ns))) * 1e-9 if len(stream) > 1 else 0.0
+    interval = seconds(float(np.median(np.diff(stream.stamps_ns)))) if len(stream) > 1 else 0.0
     least_s = min(max(LEAST_S, interval), PERIOD_S)
     return Timing(late_s if abs(late_s) >= least_s else 0.0, over, sweep, turns.alike or not judges)
 
@@ -220,7 +221,7 @@ def _surely(gain: Array) -> bool:
 def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
     """Rows of the scans of each stretch in which the turning changes most."""
     assert scans.T_odom_base is not None
-    waits = np.diff(scans.stamps_ns) * 1e-9
+    waits = seconds(np.diff(scans.stamps_ns))
     known = (waits > 0.0) & (waits < GAP_S)
     rate = np.where(known, wrap(np.diff(scans.T_odom_base.yaw)) / np.where(known, waits, 1.0), 0.0)
     starts = np.arange(0, len(scans) - SCANS, SCANS)
@@ -235,7 +236,7 @@ def _turns(scans: Recording, late_s: float, noise: RangeNoise) -> _Turns:
     """How scans and odometry turn, the sweeps undone as of an odometry so much late."""
     spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)]
     stream = _stream(scans)
-    times, yaw = (stream.stamps_ns - scans.stamps_ns[0]) * 1e-9, np.unwrap(stream.poses.yaw)
+    times, yaw = seconds(stream.stamps_ns - scans.stamps_ns[0]), np.unwrap(stream.poses.yaw)
     begin, end, turned = np.concatenate([np.zeros((0, 3)), *spans]).T
     later = DELAYS_S[:, None]
     told = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
@@ -247,11 +248,11 @@ def _turns(scans: Recording, late_s: float, noise: RangeNoise) -> _Turns:
 def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
     """Begin and end [s] since the first scan, and turn [rad] by the scans alone, over each span, (n, 3)."""
     track = tracked_alone(scans, rows, noise, late_s)
-    seconds = (scans.stamps_ns[rows] - scans.stamps_ns[0]) * 1e-9
-    waits = np.diff(seconds)
+    times = seconds(scans.stamps_ns[rows] - scans.stamps_ns[0])
+    waits = np.diff(times)
     known = np.convolve((waits > 0.0) & (waits < GAP_S) & track.usable[1:], np.ones(SPAN), "valid")
     yaw = np.unwrap(track.T_track_base.yaw)
-    return np.column_stack([seconds[:-SPAN], seconds[SPAN:], yaw[SPAN:] - yaw[:-SPAN]])[known == SPAN]
+    return np.column_stack([times[:-SPAN], times[SPAN:], yaw[SPAN:] - yaw[:-SPAN]])[known == SPAN]
 
 
 def tracked_alone(
@@ -259,7 +260,7 @@ def tracked_alone(
 ) -> Track:
     """Some scans (n,) tracked by themselves, each sweep undone by an odometry so much late."""
     stamps_ns = recording.stamps_ns[rows]
-    late = replace(recording, stamps_ns=stamps_ns + round(late_s * 1e9))
+    late = replace(recording, stamps_ns=stamps_ns + nanoseconds(late_s))
     alone = replace(
         recording,
         stamps_ns=stamps_ns,
@@ -274,5 +275,5 @@ def tracked_alone(
 
 def usual_period(recording: Recording) -> float:
     """Median time between scans [s]; PERIOD_S if the clock stands still."""
-    waits = np.diff(recording.stamps_ns) * 1e-9
+    waits = seconds(np.diff(recording.stamps_ns))
     return float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets import se3
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
 from turtlebag.pipeline.slam.kiss import LidarOdometry
@@ -66,7 +67,7 @@ class Tracker:
     def __init__(self, recording: Recording3D, setup: SensorSetup, front_end: FrontEnd3d) -> None:
         n = len(recording)
         self._front_end, self._voxel = front_end, setup.voxel
-        self._seconds = (recording.stamps_ns - recording.stamps_ns[0]) * 1e-9
+        self._seconds = seconds(recording.stamps_ns - recording.stamps_ns[0])
         self._kiss = None
         if front_end == "kiss_icp":
             self._kiss = LidarOdometry(MAX_RANGE_M, KISS_VOXELS * setup.voxel)

@@ -11,6 +11,7 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.deskew import deskewed_points
+from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
 
@@ -72,5 +73,5 @@ def _knots(recording: Recording3D, index: int, start: float, end: float) -> Arra
     if odometry is None or not int(odometry.stamps_ns[0]) <= stamp <= int(odometry.stamps_ns[-1]):
         return None
     times = np.concatenate([[0.0], np.linspace(start, end, KNOTS)])
-    T = odometry.at(stamp + np.round(times * 1e9).astype(np.int64))
+    T = odometry.at(stamp + nanoseconds(times))
     return se3.log(se3.lifted(T[0].inverse() @ T[1:]))

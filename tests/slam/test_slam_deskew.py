@@ -10,13 +10,37 @@ from tests.helpers.slam_rooms import ranges_to, rectangle
 from turtlebag.datasets.grid import OCCUPIED
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.clouds import make_clouds, sweep_motion
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
 
 ROOM = rectangle(0.025, 0.025, 5.025, 4.025)  # in the middle of cells
 LIDAR = LidarSpec(120, 0.0, np.deg2rad(3.0), 0.1, 8.0, time_increment=0.2 / 120)
 T_BASE_LIDAR = SE2.from_xyt(-0.06, 0.02, 0.5)
 STARTS = SE2.from_xyt(np.array([2.0, 3.0, 2.5]), np.array([1.5, 2.0, 2.5]), np.array([0.3, -2.0, 2.9]))
+
+
+def test_a_turn_among_sweeps_at_rest_is_no_jump_whichever_way_the_lidar_sweeps():
+    seconds = np.arange(0.0, 40.0, 0.01)
+    yaw = np.clip(seconds - 20.0, 0.0, 0.4)
+    odometry = Trajectory(np.round(seconds * 1e9).astype(np.int64), SE2.from_xyt(0.0, 0.0, yaw))
+    stamps = 10**9 + np.arange(190) * 200_000_000
+    ranges = np.ones((190, 120), dtype=np.float32)
+    for sign in (1.0, -1.0):
+        lidar = replace(LIDAR, time_increment=sign * LIDAR.time_increment)
+        log = Recording("x", stamps, ranges, lidar, T_BASE_LIDAR, odometry.at(stamps), odometry=odometry)
+        whole = sweep_motion(log)[:, -1].yaw
+        turning = np.flatnonzero(np.abs(whole) > 0.1)
+        np.testing.assert_array_equal(turning, [95, 96] if sign > 0.0 else [96, 97])
+        np.testing.assert_allclose(whole[turning], sign * 0.2 * 119 / 120, atol=1e-6)
+
+
+def test_a_lidar_of_one_beam_has_no_sweep_to_undo():
+    lidar = LidarSpec(1, 0.0, 0.0, 0.1, 8.0, time_increment=0.1)
+    odometry = Trajectory(np.array([0, 10**9]), SE2.identity(2))
+    assert (
+        sweep_motion(Recording("x", np.array([0]), np.ones((1, 1)), lidar, T_BASE_LIDAR, odometry=odometry))
+        is None
+    )
 
 
 def driven(v, w, faster):
