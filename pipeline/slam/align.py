@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.correspondences import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner, sees
+from turtlebag.pipeline.slam.correspondences import MIN_NORMAL_DOT, Limits, find_partner, sees
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # Of a scan with more points than this every second, third, ... is aligned.
 MOST_POINTS = 400
@@ -144,11 +145,11 @@ def align_kernel(
             usable += 1
             of_point = partners[(i - lo) // stride]
             px, py = points[i, 0], points[i, 1]
-            kernel2 = max(limits.sigma * limits.sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[i])
+            kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[i])
             inv_s2 = 1.0 / kernel2
             reach = max(limits.gate, math.sqrt(kernel2))
             hit = False
-            best_e = 1e9
+            best_e = math.inf
             for k in range(n_keys):
                 c, s = relative[k, 2], relative[k, 3]
                 x = relative[k, 0] + c * px - s * py

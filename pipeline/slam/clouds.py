@@ -17,7 +17,7 @@ from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Recording
+from turtlebag.datasets.types import NOTHING_M, Recording
 from turtlebag.pipeline.slam.range_noise import LEAST_M, RangeNoise, range_noise
 from turtlebag.pipeline.slam.threads import in_parts
 
@@ -232,7 +232,7 @@ def _fit_lines(
             px, py = points[i, 0], points[i, 1]
             ray_x, ray_y = px - origin[0], py - origin[1]
             distance = math.hypot(ray_x, ray_y)
-            ray_x, ray_y = ray_x / max(distance, 1e-9), ray_y / max(distance, 1e-9)
+            ray_x, ray_y = ray_x / max(distance, NOTHING_M), ray_y / max(distance, NOTHING_M)
             spacing = distance * increment
             reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
             reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
@@ -244,7 +244,7 @@ def _fit_lines(
             ends[:] = i
             alive[:] = True
             ray_xx, ray_xy, ray_yy = ray_x * ray_x, ray_x * ray_y, ray_y * ray_y
-            cos2, sin2, mx, my, var, turn_var = 1.0, 0.0, 0.0, 0.0, range_var[i], 1e9
+            cos2, sin2, mx, my, var, turn_var = 1.0, 0.0, 0.0, 0.0, range_var[i], math.inf
             while alive[0] or alive[1]:
                 for side in range(2):
                     if not alive[side]:
@@ -278,7 +278,7 @@ def _fit_lines(
                     small = max(0.5 * (cxx + cyy) - 0.5 * (cxx - cyy) * c2 - cxy * s2, 0.0)
                     across2 = 0.5 * ((1.0 - c2) * ray_xx - 2.0 * s2 * ray_xy + (1.0 + c2) * ray_yy)
                     # few returns close together do not tell how the line stands to the ray
-                    steep = min(1.0, across2 + range_var[i] / max(n * large, 1e-12))
+                    steep = min(1.0, across2 + range_var[i] / max(n * large, LEAST_M * LEAST_M))
                     noise = range_var[i] * steep + LEAST_M * LEAST_M
                     if n >= 3 and n * small > noise * _limit(n - 2):
                         alive[side] = False
@@ -287,7 +287,7 @@ def _fit_lines(
                     count = n
                     ends[side] = j
                     cos2, sin2, mx, my, var = c2, s2, ax, ay, noise
-                    turn_var = noise / max(n * large, 1e-12)
+                    turn_var = noise / max(n * large, LEAST_M * LEAST_M)
             if count < 3 or turn_var > UNSURE_RAD * UNSURE_RAD:
                 continue
             # of the half angle, by the larger of its two parts

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # The score of a cell that nothing saw, 0..255.
 UNSEEN = 128
@@ -36,10 +37,10 @@ def make_field(
     points = points_in_map(clouds.points, clouds.starts, np.asarray(keys, dtype=np.int64), T_map_keys)
     if len(points) == 0:
         return Field(np.full((1, 1), UNSEEN, dtype=np.uint8), np.zeros(2), resolution)
-    margin = 3.0 * sigma + 2.0 * resolution
+    margin = SIGMAS * sigma + 2.0 * resolution
     corner = points.min(axis=0) - margin
     cols, rows = np.ceil((points.max(axis=0) + margin - corner) / resolution).astype(int) + 1
-    reach = math.ceil(3.0 * sigma / resolution)
+    reach = math.ceil(SIGMAS * sigma / resolution)
     offsets = np.arange(-reach, reach + 1) * resolution
     stamp = np.exp(-(offsets[:, None] ** 2 + offsets[None, :] ** 2) / (2.0 * sigma * sigma))
     values = np.full((rows, cols), UNSEEN, dtype=np.uint8)

@@ -13,13 +13,12 @@ from typing import NamedTuple
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # A point is looked for so many bearings to either side at most.
 MAX_HALF_WINDOW = 10
 # Surfaces whose normals agree by less are not the same (cosine).
 MIN_NORMAL_DOT = 0.6
-# The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
-KERNEL_SIGMAS = 3.0
 
 
 class Limits(NamedTuple):
@@ -107,14 +106,14 @@ def partner_line(
 ) -> tuple[int, float, float]:
     """The line of scan `key` that point `r` lies on: row or -1, distance to it [m], weight [1/m^2].
 
-    T_key_scan is x, y, and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than the
-    point's noise.
+    T_key_scan is x, y, and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than SIGMAS
+    of the point's noise.
     """
     tx, ty, c, s = T_key_scan
     normals, centers = clouds.normals, clouds.centers
     px, py = clouds.points[r, 0], clouds.points[r, 1]
     x, y = tx + c * px - s * py, ty + s * px + c * py
-    kernel2 = max(limits.sigma * limits.sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
+    kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[r])
     inv_s2, reach = 1.0 / kernel2, max(limits.gate, math.sqrt(kernel2))
     row = find_partner(x, y, key, clouds, reach)
     if row < 0 or not clouds.line_ok[row]:

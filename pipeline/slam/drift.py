@@ -19,6 +19,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import WEAK
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # Steps say too much of their errors: over 3 to 300 m the squared ones come to 0.04 to 0.57 of the covariance
 # that they add up to (six logs with a reference, the mean of each).
@@ -27,8 +28,6 @@ HONEST = 0.25
 ANYWHERE = 1e12 * np.eye(3)
 # Where x, y and yaw stand among rotation and translation in space.
 IN_PLANE = [3, 4, 2]
-# True places lie within it in 99 of 100 cases, by the normal distribution in the plane.
-SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)

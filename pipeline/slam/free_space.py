@@ -70,7 +70,7 @@ def violation_shares(
             distance = math.sqrt(ex * ex + ey * ey)
             bin_ = int((math.atan2(ey, ex) + math.pi) * scale)
             half = min(6, int(wall / max(distance, wall) * scale) + 1)
-            nearest2, shortest2, seen = 1e9, 1e9, 0
+            nearest2, shortest2, seen = math.inf, math.inf, 0
             for q in range(bin_ - half, bin_ + half + 1):
                 row = table[keys[b], q % n_bins]
                 if row < 0:

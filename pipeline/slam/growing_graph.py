@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.pose_graph import WEAK, noise_model
+from turtlebag.pipeline.slam.pose_graph import HELD, WEAK, noise_model
 
 # Poses that move farther than this are linearised anew [m, rad].
 RELINEARISE = 0.01
@@ -36,7 +36,7 @@ class GrowingGraph:
         gtsam: Any = self._gtsam
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if self._count == 0:
-            held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-6))
+            held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, HELD))
             graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*T_map_keys[0]), held))
         for key in range(self._count, len(T_map_keys)):
             values.insert(key, gtsam.Pose2(*T_map_keys[key]))

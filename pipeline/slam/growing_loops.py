@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
-from turtlebag.pipeline.slam.drift import SIGMAS, drift_of, reach, read_at
+from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
 from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # So many keys at most wait for their loops; each takes five scans at most, by which the graph then lags.
 WAITING = 8

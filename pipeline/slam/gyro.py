@@ -17,7 +17,7 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import ImuLog, Recording, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
-from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
+from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, SIGMAS
 
 # A gyro slower than this, or with longer holes, is not followed through them [s].
 HOLE_S = 0.1
@@ -82,7 +82,7 @@ def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[f
     for sign in (1.0, -1.0):
         found = _apart(sign * turns[known], steps[known], waits[known])
         expected, _ = _expected(gyro, steps, stamps_ns, sign, found)
-        likely = bool(np.all(np.abs(found) < 3.0 * USUAL))
+        likely = bool(np.all(np.abs(found) < SIGMAS * USUAL))
         if likely and _agrees(expected[known], steps[known, 2], waits[known]):
             return sign, found
     return None

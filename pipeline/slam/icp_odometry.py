@@ -29,7 +29,7 @@ from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
 from turtlebag.pipeline.slam.correlative import best_pose
 from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.front_end import Placed
-from turtlebag.pipeline.slam.kiss import KissIcp
+from turtlebag.pipeline.slam.kiss import SURELY_BETTER, KissIcp
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
 from turtlebag.pipeline.slam.track import confirms
 from turtlebag.pipeline.slam.tracker import Tracker
@@ -146,7 +146,7 @@ class Lines:
         if best is None or best[2] > self._usual_cost + FITS:
             wide = self._recover(scan, [pose for _, pose in starts])
             again = self._best(scan, [(3, wide)], guess, information)
-            if again is not None and (best is None or again[2] < best[2] - 0.05):
+            if again is not None and (best is None or again[2] < best[2] - SURELY_BETTER):
                 best = again
         if best is None:
             return _fits_nothing(guess), 0

@@ -18,12 +18,14 @@ from turtlebag.pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
 from turtlebag.pipeline.slam.clouds import point_information
 from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 from turtlebag.pipeline.slam.track import HYPOTHESES
 from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker
 
 # Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.
 VOXEL_M = 0.2
-# Share of a scan that must fit for its answer to be believed; so much better must that of a steady motion be.
+# Share of a scan that must fit for its answer to be believed; so much better [share] must that of
+# another start be.
 MIN_FIT, SURELY_BETTER = 0.4, 0.05
 # Standard deviation of a point on the voxel map, in voxels: it is matched with whatever point was kept there.
 VOXELS = 0.6
@@ -107,7 +109,7 @@ class LidarOdometry:
         source = _in_space(points) if plane else self._thinned(points, 1.5 * self._voxel)
         sigma = self._threshold.get_threshold()
         guess = _matrix(T_map_guess)
-        pose = self._registration.align_points_to_map(source, self._map, guess, 3.0 * sigma, sigma)
+        pose = self._registration.align_points_to_map(source, self._map, guess, SIGMAS * sigma, sigma)
         if not np.all(np.isfinite(pose)):
             return T_map_guess
         if not plane:

@@ -317,11 +317,10 @@ def trace(
     col, row = math.floor(x), math.floor(y)
     end_col, end_row = math.floor(x + dx * length), math.floor(y + dy * length)
     step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-    big = 1e30
-    next_c = ((col + (step_c > 0)) - x) / dx if dx != 0.0 else big
-    next_r = ((row + (step_r > 0)) - y) / dy if dy != 0.0 else big
-    delta_c = abs(1.0 / dx) if dx != 0.0 else big
-    delta_r = abs(1.0 / dy) if dy != 0.0 else big
+    next_c = ((col + (step_c > 0)) - x) / dx if dx != 0.0 else math.inf
+    next_r = ((row + (step_r > 0)) - y) / dy if dy != 0.0 else math.inf
+    delta_c = abs(1.0 / dx) if dx != 0.0 else math.inf
+    delta_r = abs(1.0 / dy) if dy != 0.0 else math.inf
     spared = length - 1.0 if returned else length
     while not (col == end_col and row == end_row):
         leave = min(next_c, next_r)

@@ -9,20 +9,18 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import Alignment
-from turtlebag.pipeline.slam.clouds import Clouds, point_information
+from turtlebag.pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from turtlebag.pipeline.slam.correspondences import Limits
+from turtlebag.pipeline.slam.free_space import WALL_M
 from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.open3d_loader import open3d
 
-# Points farther apart than this [m] do not match; a loop of which fewer match, or that ICP on them moves
+# A loop of whose points fewer lie within WALL_M of the place's, or that ICP on them moves
 # farther than this [m], [rad], is not confirmed.
-CORRESPONDENCE_M = 0.15
 MIN_FITNESS = 0.6
 MAX_SHIFT_M, MAX_TURN_RAD = 0.08, 0.03
 # Standard deviation of a point on a post: the sides it is seen from differ.
 POINT_SIGMA_M = 0.02
-# Fewer matched points than this fix no pose.
-MIN_MATCHED = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +55,7 @@ def match_points(
     )
     pose = SE2.from_matrix(np.asarray(result.transformation)).xyt
     matched = source[np.asarray(result.correspondence_set).reshape(-1, 2)[:, 0]]
-    if len(matched) < MIN_MATCHED:
+    if len(matched) < MIN_LINES:
         return PointMatch(pose, 0.0, 0.0, np.zeros((3, 3)))
     information = point_information(matched) / POINT_SIGMA_M**2
     return PointMatch(pose, float(result.fitness), float(result.inlier_rmse), information)
@@ -65,7 +63,7 @@ def match_points(
 
 def stays_put(source: Array, target: Array, T_target_source: Array) -> bool:
     """Whether ICP, started at `T_target_source` (3,), stays next to it and keeps most points matched."""
-    found = match_points(source, target, T_target_source, CORRESPONDENCE_M)
+    found = match_points(source, target, T_target_source, WALL_M)
     shift = (SE2(T_target_source).inverse() @ SE2(found.T_target_source)).xyt
     return bool(
         found.overlap >= MIN_FITNESS

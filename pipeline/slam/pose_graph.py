@@ -22,6 +22,8 @@ Poses = TypeVar("Poses", SE2, Array)
 
 # Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
 WEAK = 1e-4
+# The first pose is held to this [m, rad].
+HELD = 1e-6
 FLOOR = {size: WEAK * np.eye(size) for size in (3, 6)}
 # g2o writes translation before rotation.
 G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
@@ -43,7 +45,7 @@ class Gtsam:
         else:
             start, pose, prior = T_map_keys, gtsam.Pose3, gtsam.PriorFactorPose3
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3 if isinstance(T_map_keys, SE2) else 6, 1e-6))
+        held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3 if isinstance(T_map_keys, SE2) else 6, HELD))
         graph.add(prior(0, pose(start[0]), held))
         for c in constraints:
             graph.add(self._factor(c))

@@ -80,7 +80,7 @@ class RangeCalibration:
         points, _ = self._along(clouds.points - clouds.origin)
         centers, stretch = self._along(clouds.centers - clouds.origin)
         ray = clouds.centers - clouds.origin
-        ray = ray / np.maximum(np.linalg.norm(ray, axis=1), 1e-9)[:, None]
+        ray = ray / np.maximum(np.linalg.norm(ray, axis=1), NOTHING_M)[:, None]
         # A radial map stretches along and across the ray; normals go by the inverse of that.
         along = (clouds.normals * ray).sum(axis=1)[:, None] * ray
         normals = along / stretch[:, :1] + (clouds.normals - along) / stretch[:, 1:]
@@ -93,7 +93,7 @@ class RangeCalibration:
 
     def _along(self, rays: Array) -> tuple[Array, Array]:
         """Rays (n, 2) with their lengths put right, and the stretch along and across them, (n, 2)."""
-        ranges = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
+        ranges = np.maximum(np.linalg.norm(rays, axis=1), NOTHING_M)
         share = 1.0 - self.error(ranges) / ranges
         return rays * share[:, None], np.column_stack([1.0 - 2.0 * self.square_per_m * ranges, share])
 
@@ -196,7 +196,7 @@ def _half(
 @njit(cache=True)
 def _ray(x: float, y: float, nx: float, ny: float) -> tuple[float, float]:
     """Length of a ray, and the sine of its angle to the surface with this normal."""
-    length = max(math.hypot(x, y), 1e-9)
+    length = max(math.hypot(x, y), NOTHING_M)
     return length, (nx * x + ny * y) / length
 
 

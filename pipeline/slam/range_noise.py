@@ -19,6 +19,8 @@ from turtlebag.datasets.types import Recording
 LEAST_M = 0.003
 # Scans looked at; bins of ranges, each a factor wide; triples that make a bin count.
 SCANS, BIN_FACTOR, LEAST_TRIPLES = 400, 1.5, 100
+# Nearly all errors lie within so many standard deviations; in the plane those of 99 places in 100.
+SIGMAS = 3.0
 # Standard deviation of a Gaussian over the median of its absolute value.
 PER_MEDIAN = 1.4826
 

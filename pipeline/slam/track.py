@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
+from turtlebag.pipeline.slam.pose_graph import WEAK
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 # How well scans and odometry must agree on a motion [m]; [rad], and as a share of the motion.
@@ -65,9 +66,9 @@ class Track:
 
 def blind(information: Array) -> NDArray[np.bool_]:
     """Whether scans with information (..., 3, 3) see one direction only, their yaw being open."""
-    with_yaw, of_yaw = information[..., :2, 2:], np.maximum(information[..., 2:, 2:], 1e-9)
+    with_yaw, of_yaw = information[..., :2, 2:], np.maximum(information[..., 2:, 2:], WEAK)
     seen = np.linalg.eigvalsh(information[..., :2, :2] - with_yaw @ np.swapaxes(with_yaw, -1, -2) / of_yaw)
-    return np.asarray(seen[..., 0] <= BLIND * np.maximum(seen[..., 1], 1e-9))
+    return np.asarray(seen[..., 0] <= BLIND * np.maximum(seen[..., 1], WEAK))
 
 
 def confirms(odometry: Array, motion: Array) -> bool:

@@ -21,10 +21,9 @@ from turtlebag.pipeline.slam.kiss import LidarOdometry
 from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered, thinned
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
 from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Surfels, fit, make_surfels
-from turtlebag.pipeline.slam3d.sweeps import MAX_RANGE_M, Sweep
+from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M, Sweep
 
 FrontEnd3d = Literal["surfels", "kiss_icp", "odometry"]
-LEAST_POINTS = 50
 LONGEST_STEP_S = 1.0
 """Constant velocity is not believed for longer."""
 KEY_VOXELS, KEY_TURN_RAD, WINDOW = 1.5, 0.35, 15

@@ -25,6 +25,7 @@ from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor
+from turtlebag.pipeline.slam3d.sensor_setup import MAX_SLOPE_RAD
 from turtlebag.pipeline.slam3d.surfels import INFLATION, observable
 
 GATE_VOXELS, RETURN_VOXELS = 5.0, 25.0
@@ -35,7 +36,7 @@ LOOKS = 64
 """Places whose features are kept: neighbours look like the same ones."""
 SUPPORT = 2
 """Keys that must be recognised at a place."""
-MIN_OVERLAP, MAX_TILT_RAD = 0.6, 0.1
+MIN_OVERLAP = 0.6
 
 
 class Loop3dConfig(Settings):
@@ -87,7 +88,7 @@ class CloudLoops(LoopSearch):
         verdict = "accepted" if found.overlap >= MIN_OVERLAP else "low overlap"
         return Loop(
             i, j, found.T, rough.overlap, found.overlap, found.rmse, gate,
-            "tilted" if tilt > MAX_TILT_RAD else verdict, observable(found.information),
+            "tilted" if tilt > MAX_SLOPE_RAD else verdict, observable(found.information),
         )  # fmt: skip
 
     def recognised(self) -> list[Loop]:

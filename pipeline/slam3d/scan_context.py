@@ -36,14 +36,14 @@ def dissimilarity(a: Array, b: Array) -> tuple[float, float]:
     One minus the mean cosine between the columns that hold something in either.
     """
     norm_a, norm_b = np.linalg.norm(a, axis=0), np.linalg.norm(b, axis=0)
+    seen_a, seen_b = norm_a > 0.0, norm_b > 0.0
     # Correlation over all shifts at once: column s + k of a against column s of b.
     products = np.fft.irfft(
-        np.fft.rfft(a / np.maximum(norm_a, 1e-9), axis=1)
-        * np.conj(np.fft.rfft(b / np.maximum(norm_b, 1e-9), axis=1)),
+        np.fft.rfft(a / np.where(seen_a, norm_a, 1.0), axis=1)
+        * np.conj(np.fft.rfft(b / np.where(seen_b, norm_b, 1.0), axis=1)),
         SECTORS,
         axis=1,
     ).sum(axis=0)
-    seen_a, seen_b = norm_a > 0.0, norm_b > 0.0
     either = np.array([np.count_nonzero(seen_a | np.roll(seen_b, k)) for k in range(SECTORS)])
     cosines = products / np.maximum(either, 1)
     best = int(np.argmax(cosines))

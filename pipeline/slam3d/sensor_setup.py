@@ -11,13 +11,14 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
 from turtlebag.pipeline.slam3d.floor import find_floor, levelled
+from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS
 
 LOOKED_AT = 10
-LEAST_POINTS = 100
 VOXEL_SHARE, SMALLEST_VOXEL_M, LARGEST_VOXEL_M = 0.15, 0.25, 1.0
 """The voxel as a share of the median range, and its limits."""
 MAX_SLOPE_RAD, ON_FLOOR_M = 0.1, 0.03
-"""How far a floor may slope to a base frame that is known, and how far below it may be the same."""
+"""How far a floor may slope to a base frame that is known, or between two visits; and how far below it may be
+the same."""
 FLOOR_REACH = 4.0
 """The floor is looked for within so many median ranges."""
 

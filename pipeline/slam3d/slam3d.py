@@ -15,6 +15,8 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
+from turtlebag.pipeline.slam.align import CAUCHY
+from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_closure import Progress
 from turtlebag.pipeline.slam.loop_search import Loop
@@ -152,11 +154,11 @@ def step_constraints(track: Track3d) -> list[Constraint]:
 
 
 def _odometry(k: int, T: Array) -> Constraint:
-    """Wheels: five per cent of way and turn, and a floor that is flat from key to key."""
+    """Wheels: ODOMETRY_SHARE of way and turn, and a floor that is flat from key to key."""
     way, turn = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3])
-    along, yaw = 0.01 + 0.05 * way, 0.01 + 0.05 * turn
+    along, yaw = 0.01 + ODOMETRY_SHARE * way, 0.01 + ODOMETRY_SHARE * turn
     sigmas = np.array([0.05, 0.05, yaw, along, along, 0.05])
-    return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", cauchy=2.0)
+    return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", cauchy=CAUCHY)
 
 
 def _drawn(

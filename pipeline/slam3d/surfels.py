@@ -18,6 +18,7 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.deskew import deskewed_points
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.track import BLIND
 
 MAX_CELLS = 24_000_000
 NOISE_M = 0.01
@@ -54,7 +55,7 @@ def make_surfels(points: Array, views: Array, voxel: float) -> Surfels:
         points = views = np.zeros((1, 3))
     low, high = points.min(axis=0), points.max(axis=0)
     while np.prod(np.floor((high - low) / voxel) + 3) > MAX_CELLS:
-        voxel *= 1.26
+        voxel *= np.cbrt(2.0)  # half as many cells
     low = (np.floor(low / voxel) - 1.0) * voxel
     shape = (np.floor((high - low) / voxel) + 2).astype(np.int64)
     cells = np.full((int(shape[0]), int(shape[1]), int(shape[2])), -1, dtype=np.int32)
@@ -140,8 +141,6 @@ KERNEL_M = 0.03
 """Width of the Geman-McClure weight of a distance."""
 LEAST_OVERLAP = 0.35
 """A cloud of which less lies on a place does not fit it."""
-BLIND_SHARE = 0.01
-"""A direction with less than this share of the information of the best one is not seen at all."""
 INFLATION = 50.0
 """Points share their errors, so their sum counts so many times less."""
 LOOSE = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3] * 2)
@@ -197,13 +196,14 @@ def fit(
 def observable(information: Array) -> Array:
     """Information (6, 6) without the directions the surfaces do not hold: along a corridor, say.
 
-    Normals err by some degrees, so a blind direction still gathers a share of the others' information.
+    Normals err by some degrees, so a blind direction still gathers a share of the others' information, up to
+    BLIND of the best one's.
     Rotation and translation are judged apart.
     """
     out = information.copy()
     for block in (slice(0, 3), slice(3, 6)):
         values, vectors = np.linalg.eigh(information[block, block])
-        for k in np.flatnonzero(values < BLIND_SHARE * values[-1]):
+        for k in np.flatnonzero(values < BLIND * values[-1]):
             keep = np.eye(6)
             keep[block, block] -= np.outer(vectors[:, k], vectors[:, k])
             out = keep @ out @ keep

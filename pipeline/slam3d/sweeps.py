@@ -19,8 +19,8 @@ KNOTS = 9
 """Samples of the odometry over a sweep: 25 ms apart for a lidar of 5 turns a second."""
 MIN_RANGE_M, MAX_RANGE_M = 0.3, 100.0
 """Nearer points may be the robot itself, farther ones are not used."""
-MOST_POINTS = 60_000
-"""Larger clouds are thinned evenly."""
+LEAST_POINTS, MOST_POINTS = 50, 60_000
+"""Clouds of fewer points are matched with nothing, larger ones are thinned evenly."""
 
 
 class Sweep:

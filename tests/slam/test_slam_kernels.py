@@ -27,9 +27,10 @@ from turtlebag.pipeline.slam.align import (
 from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.consistency import _grow
-from turtlebag.pipeline.slam.correspondences import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner
+from turtlebag.pipeline.slam.correspondences import MIN_NORMAL_DOT, Limits, find_partner
 from turtlebag.pipeline.slam.free_space import violation_shares
 from turtlebag.pipeline.slam.odometry_trust import LIE_SIGMAS, RECENT, SEVERAL, OdometryTrust
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 from turtlebag.pipeline.slam.refine import linearise_pairs
 from turtlebag.pipeline.slam.track import OdometryNoise
 
@@ -103,7 +104,7 @@ def plain_align(clouds, scan, pose, keys, key_poses, limits, prior):
     for iteration in range(iterations + 1):
         normals, matched, unknown, cost = Normals(), 0, 0, 0.0
         for row in rows:
-            kernel2 = max(sigma**2, KERNEL_SIGMAS**2 * clouds.point_var[row])
+            kernel2 = max(sigma**2, SIGMAS**2 * clouds.point_var[row])
             errors, unseen = [], True
             for key, key_pose in zip(keys, key_poses, strict=True):
                 T = (SE2(key_pose).inverse() @ SE2(pose)).xyt
@@ -270,7 +271,7 @@ def test_a_pair_is_linearised_as_both_scans_lines_say(clouds, gate, sigma):
                 if not clouds.line_ok[row]:
                     continue
                 used += 1
-                kernel2 = max(sigma**2, KERNEL_SIGMAS**2 * clouds.point_var[row])
+                kernel2 = max(sigma**2, SIGMAS**2 * clouds.point_var[row])
                 found, reach = partner(clouds, row, T_key_scan, key, gate, kernel2)
                 error = None if found is None else counts(clouds, row, found, T_key_scan, reach)
                 if error is None:
