@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import load_model
 
 ScanNumber = Annotated[int, Field(strict=True, ge=0)]
@@ -23,10 +24,9 @@ HAND_M, HAND_RAD = 0.5, 0.35
 BESIDE = 6
 
 
-class RejectedLoop(BaseModel):
+class RejectedLoop(Settings):
     """Scans, numbered from 0 in file order, that did not see the same place."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     scan: ScanNumber
     place: ScanNumber
 
@@ -37,10 +37,9 @@ class AddedLoop(RejectedLoop):
     pose: tuple[Finite, Finite, Finite]
 
 
-class Edits(BaseModel):
+class Edits(Settings):
     """The content of an edits file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     version: Literal[1] = 1
     reject: tuple[RejectedLoop, ...] = ()
     add: tuple[AddedLoop, ...] = ()

@@ -16,13 +16,14 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.pipeline.slam.clouds import known_motion
 
@@ -34,10 +35,9 @@ MIN_MET = 3
 BEHIND_CELLS = 3
 
 
-class OccupancyConfig(BaseModel):
+class OccupancyConfig(Settings):
     """The occupancy grid."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     resolution_m: float = Field(default=0.05, gt=0.0, le=1.0)
     occupied_share: float = Field(
         default=0.25,

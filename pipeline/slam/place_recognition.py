@@ -15,9 +15,10 @@ from functools import cache
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
@@ -50,10 +51,9 @@ ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
 SAME_WAY = 0.7
 
 
-class PlaceRecognitionConfig(BaseModel):
+class PlaceRecognitionConfig(Settings):
     """Place recognition."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
     candidates: int = Field(default=12, gt=0, description="number of most similar submaps to compare")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)

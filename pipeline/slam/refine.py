@@ -14,10 +14,11 @@ from functools import partial
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.align import (
     CAUCHY,
     LEAST_OVERLAP,
@@ -42,10 +43,9 @@ from turtlebag.pipeline.slam.threads import in_parts
 RADIUS_M, ALIKE = 4.0, 2
 
 
-class RefineConfig(BaseModel):
+class RefineConfig(Settings):
     """The joint refinement."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0: no refinement")
 
 

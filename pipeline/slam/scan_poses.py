@@ -7,11 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP, MOST_POINTS, NEIGHBOURS, Prior, align_kernel
 from turtlebag.pipeline.slam.cloud_parts import chosen, joined_clouds
 from turtlebag.pipeline.slam.clouds import Clouds
@@ -29,10 +30,9 @@ NO_GAPS = np.zeros((0, 2), dtype=np.int64)
 CARRIED_M = 0.003
 
 
-class ReregistrationConfig(BaseModel):
+class ReregistrationConfig(Settings):
     """Alignment of the scans between key scans."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = Field(default=True, description="align each with the key scans near it")
 
 

@@ -9,12 +9,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
@@ -66,10 +67,9 @@ Sensors = Annotated[
 ]
 
 
-class SlamConfig(BaseModel):
+class SlamConfig(Settings):
     """Everything that shapes a map."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "both"
     front_end: FrontEndName = Field(
         default="lines",

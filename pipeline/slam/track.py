@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
 from turtlebag.pipeline.slam.pose_graph import WEAK
 
@@ -19,10 +20,9 @@ AGREE_M, AGREE = 0.3, 0.15
 BLIND = 0.01
 
 
-class OdometryNoise(BaseModel):
+class OdometryNoise(Settings):
     """Standard deviations of an odometry step, along, across [m] and in turn [rad]."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     floor: float = Field(default=0.005, gt=0.0, description="noise at rest [m], [rad]")
     share: float = Field(default=ODOMETRY_SHARE, ge=0.0, description="share of distance and turn")
 
@@ -33,10 +33,9 @@ class OdometryNoise(BaseModel):
         return np.diag(sigma**-2.0)
 
 
-class TrackingConfig(BaseModel):
+class TrackingConfig(Settings):
     """The front end."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     key_distance_m: float = Field(default=0.3, gt=0.0)
     key_turn_rad: float = Field(default=0.4, gt=0.0)
     calibration: bool = Field(default=True, description="learn the odometry's systematic errors")
