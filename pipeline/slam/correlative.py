@@ -19,7 +19,7 @@ from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # The score of a cell that nothing saw, 0..255.
-UNSEEN = 128
+HIT, UNSEEN = 255, 128
 
 
 class Field(NamedTuple):
@@ -45,7 +45,7 @@ def make_field(
     stamp = np.exp(-(offsets[:, None] ** 2 + offsets[None, :] ** 2) / (2.0 * sigma * sigma))
     values = np.full((rows, cols), UNSEEN, dtype=np.uint8)
     _see_through(values, clouds, np.asarray(keys, dtype=np.int64), T_map_keys, corner, resolution)
-    _splat(values, points, corner, resolution, np.round(255.0 * stamp).astype(np.uint8))
+    _splat(values, points, corner, resolution, np.round(HIT * stamp).astype(np.uint8))
     return Field(values, corner, resolution)
 
 
@@ -159,4 +159,4 @@ def _search(
                     pose[0] = center[0] + (dc - n_xy) * resolution
                     pose[1] = center[1] + (dr - n_xy) * resolution
                     pose[2] = yaw
-    return pose, max(best, 0.0) / (255.0 * max(n, 1))
+    return pose, max(best, 0.0) / (HIT * max(n, 1))

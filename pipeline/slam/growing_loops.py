@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
-from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder, step_lengths
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # So many keys at most wait for their loops; each takes five scans at most, by which the graph then lags.
@@ -43,7 +43,7 @@ class GrowingLoops(LoopFinder):
         steps = [replace(c, i=n - 1, j=n) for c in steps]
         self.clouds, self.keys, self.part = clouds, keys, np.zeros(len(keys), dtype=np.int64)
         self.poses = np.vstack([self.poses, compose(self.poses[-1], T_last_key)])
-        self.path = np.append(self.path, self.path[-1] + np.hypot(T_last_key[0], T_last_key[1]) + 0.05)
+        self.path = np.append(self.path, self.path[-1] + step_lengths(self.poses[-2:]))
         self.steps += steps
         self._since_query += 1
         if self.config.enabled and self._since_query >= self.config.every and len(self._waiting) < WAITING:

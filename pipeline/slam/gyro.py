@@ -16,14 +16,14 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import ImuLog, Recording, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
-from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
+from turtlebag.pipeline.slam.calibration import GROSS, ODOMETRY_SHARE
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, SIGMAS
 
 # A gyro slower than this, or with longer holes, is not followed through them [s].
 HOLE_S = 0.1
 # Gyro and odometry are compared over about a second each, where the gyro turns by so much [rad]; fewer of
-# these than so many tell nothing, and half of them must agree within this share.
-WINDOW_S, TURNING_RAD, FEWEST, AGREE_SHARE = 1.0, 0.1, 8, 0.3
+# these than so many tell nothing, and half of them must agree within GROSS.
+WINDOW_S, TURNING_RAD, FEWEST = 1.0, 0.1, 8
 # A gyro's bias [rad/s] and the noise of a turn between it and the wheels [rad], as standard deviations.
 # Wheels differ from it by ODOMETRY_SHARE besides, of the turn and per metre.
 BIAS, NOISE_RAD = 0.01, 0.01
@@ -152,7 +152,7 @@ def _agrees(turns: Array, odometry: Array, waits: Array) -> bool:
     if np.count_nonzero(turning) < FEWEST:
         return False
     apart = np.abs(mine[turning] - theirs[turning]) / np.abs(mine[turning])
-    return bool(np.median(apart) < AGREE_SHARE)
+    return bool(np.median(apart) < GROSS)
 
 
 def _turned(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:

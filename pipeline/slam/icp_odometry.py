@@ -27,7 +27,7 @@ from turtlebag.pipeline.slam.align import (
 )
 from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
 from turtlebag.pipeline.slam.correlative import best_pose
-from turtlebag.pipeline.slam.correspondences import ROUGH
+from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.kiss import SURELY_BETTER, KissIcp
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
@@ -41,8 +41,9 @@ STEADY_SHARE = 0.05
 # For so many scans after a gap the motion since is open. A scan is surely where it fits if so much of what
 # could be seen of it lies on what was seen before (at wrong places of 26 drives with gaps at most 0.88).
 DOUBTED_SCANS, SURELY_THERE = 12, 0.92
-# A scan fits when its cost is no more than this above what is usual.
-FITS = 0.25
+# A scan fits when its cost is no more than this above what is usual; that begins at so much, and follows each
+# scan's by this share.
+FITS, USUAL_COST, FOLLOWS = 0.25, 0.3, 0.02
 # Where the track may be lost the scan is searched for so far about [m, rad], in turns of so much [rad].
 LOST, LOST_STEP_RAD = 1.0, 0.035
 # What the odometry's normalised innovation squared (NIS, under a Cauchy kernel) weighs against the misfit of
@@ -68,7 +69,7 @@ class Lines:
         self.doubt: Doubt | None = None
         self.wheels = OdometryTrust(tracker.config.odometry)
         self._by_points = KissIcp(tracker)
-        self._usual_cost = 0.3
+        self._usual_cost = USUAL_COST
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
         """As in `FrontEnd`."""
@@ -150,7 +151,7 @@ class Lines:
                 best = again
         if best is None:
             return _fits_nothing(guess), 0
-        self._usual_cost += 0.02 * (best[2] - self._usual_cost)
+        self._usual_cost += FOLLOWS * (best[2] - self._usual_cost)
         return best[0], best[1]
 
     def _best(
@@ -165,8 +166,8 @@ class Lines:
         keys, poses = np.array(tracker.keys[-NEIGHBOURS:]), np.array(tracker.key_poses[-NEIGHBOURS:])
         limits = ROUGH._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
         for source, start in starts:
-            # starts this near each other end at the same pose
-            if any(np.abs(between(other, start)).max() < 0.03 for other in tried):
+            # starts that a good match would not tell apart end at the same pose
+            if any(np.abs(between(other, start)).max() < FINE.sigma for other in tried):
                 continue
             tried.append(start)
             result = align(

@@ -15,10 +15,11 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import KeyScans
@@ -38,10 +39,9 @@ MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatc
 """What `loops.match` may be; see `turtlebag.pipeline.slam.loop_match`."""
 
 
-class LoopConfig(BaseModel):
+class LoopConfig(Settings):
     """Loop closure."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
     match: Annotated[str, part_of(*MATCHERS)] = Field(
         default="lines",
@@ -130,6 +130,13 @@ BATCH = 48
 PLACES = 3
 # Cells and turns of the coarse search.
 CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
+# From key to key the robot drives so much more than they are apart: it may have turned on the spot.
+TURNING_M = 0.05
+
+
+def step_lengths(poses: Array) -> Array:
+    """How far the robot drove from each pose (n, 3) to the next [m], (n - 1,)."""
+    return np.asarray(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) + TURNING_M)
 
 
 class LoopSearch(ABC):
@@ -152,8 +159,7 @@ class LoopSearch(ABC):
         self.steps = list(steps)
         self.loops = list(known)
         self.record: list[Loop] = []
-        length = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1) + 0.05
-        self.path = np.concatenate([[0.0], np.cumsum(length)])
+        self.path = np.concatenate([[0.0], np.cumsum(step_lengths(self.poses))])
 
     @abstractmethod
     def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:

@@ -26,6 +26,7 @@ from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import jumps, unseen_way
 from turtlebag.pipeline.slam.selfcheck_verdict import Verdict
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
+from turtlebag.pipeline.slam.turn_comparison import usual_period
 
 # Key scans this near [m], and so many apart in time, are a revisit; so many are looked at. This share of
 # free-space violations marks a place as bad.
@@ -148,8 +149,7 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
 
 def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
     """Whether the robot went farther than it can, from scan to scan or for some time."""
-    period_s = float(np.median(np.abs(np.diff(recording.stamps_ns)))) * 1e-9 if len(recording) > 1 else GAP_S
-    for over in (1, max(1, round(GAP_S / max(period_s, 1e-3)))):
+    for over in (1, max(1, round(GAP_S / usual_period(recording)))):
         jumped = jumps(recording, track, T_map_base, borders, over)
         if len(jumped):
             return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0]})"]

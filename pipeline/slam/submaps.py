@@ -19,14 +19,13 @@ from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
 
 # A submap has so many keys to each side of its middle one; the middles are so many keys apart. With fewer
-# keys, or points on surfaces, it is none.
-HALF_KEYS, STRIDE = 8, 6
-LEAST_KEYS, LEAST_POINTS = 6, 200
-# It reaches so far from its middle [m]; its picture has cells of this size [m], points blurred so far.
-REACH_M, RESOLUTION_M, BLUR_CELLS = 10.0, 0.25, 1
-# A picture is so wide: twice the reach, the shifts looked at and what wraps around; they go so far. [cells]
-CELLS = 128
+# points on surfaces it is none.
+HALF_KEYS, STRIDE, LEAST_POINTS = 8, 6, 200
+# It reaches so far from its middle [m]; its picture has cells of this size [m], points blurred by one.
+REACH_M, RESOLUTION_M = 10.0, 0.25
+# Shifts that are looked at go so far; a picture is as wide as the reach and they to either side. [cells]
 MOST_SHIFT = 24
+CELLS = 2 * (round(REACH_M / RESOLUTION_M) + MOST_SHIFT)
 # Bins of the directions of normals, one each 3 degrees, and peaks of their correlation that are tried.
 HEADINGS = 120
 HEADING_PEAKS = 4
@@ -56,9 +55,7 @@ def windows(n_keys: int, broken: NDArray[np.bool_]) -> dict[int, NDArray[np.int6
     found = {}
     for lo, hi in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         for middle in range(lo + HALF_KEYS // 2, hi, STRIDE):
-            chosen = np.arange(max(lo, middle - HALF_KEYS), min(hi, middle + HALF_KEYS + 1))
-            if len(chosen) >= LEAST_KEYS:
-                found[middle] = chosen
+            found[middle] = np.arange(max(lo, middle - HALF_KEYS), min(hi, middle + HALF_KEYS + 1))
     return found
 
 
@@ -135,8 +132,8 @@ def _cells(points: Array) -> NDArray[np.int64]:
 def _spectrum(points: Array) -> NDArray[np.complex64]:
     image = np.zeros((CELLS, CELLS), dtype=np.float32)
     cells = _cells(points)
-    for dy in range(-BLUR_CELLS, BLUR_CELLS + 1):
-        for dx in range(-BLUR_CELLS, BLUR_CELLS + 1):
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
             weight = np.float32(np.exp(-0.5 * (dx * dx + dy * dy)))
             row, col = (cells[:, 1] + dy) % CELLS, (cells[:, 0] + dx) % CELLS
             image[row, col] = np.maximum(image[row, col], weight)

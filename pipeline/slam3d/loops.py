@@ -26,9 +26,9 @@ from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor
 from turtlebag.pipeline.slam3d.sensor_setup import MAX_SLOPE_RAD
-from turtlebag.pipeline.slam3d.surfels import INFLATION, observable
+from turtlebag.pipeline.slam3d.surfels import GATE_VOXELS, INFLATION, observable
 
-GATE_VOXELS, RETURN_VOXELS = 5.0, 25.0
+REACH_VOXELS, RETURN_VOXELS = 5.0, 25.0
 """How far off a key may lie to be aligned from where it is, and the way since that makes a return."""
 CONTEXT_M, UNLIKE, LIKEST = 20.0, 0.35, 2
 """Radius of the scan context; places less similar are not compared, nor more than so many for each key."""
@@ -60,7 +60,7 @@ class CloudLoops(LoopSearch):
         known: Sequence[Constraint] = (),
     ) -> None:
         config = LoopConfig(
-            every=every, min_path_m=RETURN_VOXELS * voxel, reach_m=GATE_VOXELS * voxel, inflation=INFLATION
+            every=every, min_path_m=RETURN_VOXELS * voxel, reach_m=REACH_VOXELS * voxel, inflation=INFLATION
         )
         part = np.zeros(len(keys), dtype=np.int64)
         super().__init__(se3.planar(T_map_keys), steps, config, part, known)
@@ -83,7 +83,7 @@ class CloudLoops(LoopSearch):
         """Key i aligned with key j's place, started at a guess."""
         points = self.keys.clouds[i].astype(np.float64)
         rough = self.places.fit(j, points, T_guess, 2.0 * self.voxel)
-        found = self.places.fit(j, points, rough.T, 0.7 * self.voxel)
+        found = self.places.fit(j, points, rough.T, GATE_VOXELS * self.voxel)
         tilt = np.arccos(np.clip((self.T[j] @ found.T)[:3, 2] @ self.T[i][:3, 2], -1.0, 1.0))
         verdict = "accepted" if found.overlap >= MIN_OVERLAP else "low overlap"
         return Loop(

@@ -12,7 +12,7 @@ from turtlebag.pipeline.slam.align import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.refine import RefineConfig, in_rounds, overlapping_pairs
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
-from turtlebag.pipeline.slam3d.surfels import INFLATION, KERNEL_M, LEAST_OVERLAP, observable
+from turtlebag.pipeline.slam3d.surfels import GATE_VOXELS, INFLATION, KERNEL_M, LEAST_OVERLAP, observable
 
 RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""
@@ -46,7 +46,7 @@ def refine(
                 found.append(Constraint(i, j, result.T, information, "pair", CAUCHY))
         return found
 
-    rough = max(0.7 * voxel, fine := 3.0 * KERNEL_M)
+    rough = max(GATE_VOXELS * voxel, fine := 3.0 * KERNEL_M)
     return in_rounds(T_map_keys, steps, config.rounds, matched)
 
 

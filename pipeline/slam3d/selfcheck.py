@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import residuals
-from turtlebag.pipeline.slam.selfcheck import APART_KEYS
+from turtlebag.pipeline.slam.selfcheck import APART_KEYS, MOST_WRONG
 from turtlebag.pipeline.slam.selfcheck_verdict import Verdict
 from turtlebag.pipeline.slam.track_breaks import gaps_between
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
 from turtlebag.pipeline.slam3d.surfels import LEAST_OVERLAP
 
-MOST_LOST, MOST_EMPTY, MOST_DISAGREEING = 0.02, 0.2, 0.05
-"""Shares of clouds that fit nothing, of clouds with too few points, and of revisits that disagree."""
+MOST_LOST, MOST_EMPTY = 0.02, 0.2
+"""Shares of clouds that fit nothing, of clouds with too few points; of revisits no more than MOST_WRONG may
+disagree."""
 APART_VOXELS = 0.5
 """A revisit that is off by more disagrees."""
 
@@ -59,7 +60,7 @@ def check_map(
     if len(lost) > MOST_LOST * len(track.T):
         reasons.append(f"{len(lost)} clouds fit nothing before them")
     reasons += _broken(stamps_ns, track, lost, constraints)
-    if disagreeing > MOST_DISAGREEING:
+    if disagreeing > MOST_WRONG:
         reasons.append(f"{100 * disagreeing:.0f} % of the revisits disagree")
     return SelfCheck3d(len(seen), disagreeing, len(lost), empty, tuple(reasons))
 

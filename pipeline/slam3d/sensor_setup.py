@@ -11,7 +11,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
 from turtlebag.pipeline.slam3d.floor import find_floor, levelled
-from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS
+from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M
 
 LOOKED_AT = 10
 VOXEL_SHARE, SMALLEST_VOXEL_M, LARGEST_VOXEL_M = 0.15, 0.25, 1.0
@@ -37,7 +37,7 @@ def find_setup(recording: Recording3D, voxel_m: float | None) -> SensorSetup:
     """Look at the first clouds that hold points; `voxel_m` is the user's. InputError when no cloud does."""
     looked: list[Array] = []
     for cloud in recording.clouds:
-        near = cloud.points[np.abs(cloud.points).max(axis=1, initial=0.0) < 1000.0]
+        near = cloud.points[np.abs(cloud.points).max(axis=1, initial=0.0) < MAX_RANGE_M]
         if len(near) >= LEAST_POINTS:
             looked.append(near)
         if len(looked) == LOOKED_AT:

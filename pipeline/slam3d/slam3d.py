@@ -36,6 +36,8 @@ from turtlebag.pipeline.slam3d.sweeps import Sweep, sweeps_of
 
 HOLD = np.array([0.1, 0.1, 0.2, 0.3, 0.3, 0.3])
 """Standard deviations of a step that nothing measured: it keeps the graph in one piece [rad, m]."""
+FLAT = 0.05
+"""How much a floor may tilt or lift the robot from key to key, one standard deviation [rad, m]."""
 MAP_VOXELS = 1.0 / 6.0
 """The voxel of the map, in voxels of the surfels."""
 
@@ -157,7 +159,7 @@ def _odometry(k: int, T: Array) -> Constraint:
     """Wheels: ODOMETRY_SHARE of way and turn, and a floor that is flat from key to key."""
     way, turn = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3])
     along, yaw = 0.01 + ODOMETRY_SHARE * way, 0.01 + ODOMETRY_SHARE * turn
-    sigmas = np.array([0.05, 0.05, yaw, along, along, 0.05])
+    sigmas = np.array([FLAT, FLAT, yaw, along, along, FLAT])
     return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", cauchy=CAUCHY)
 
 

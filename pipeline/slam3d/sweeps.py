@@ -14,9 +14,8 @@ from turtlebag.datasets.deskew import deskewed_points
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
+from turtlebag.pipeline.slam.clouds import KNOTS
 
-KNOTS = 9
-"""Samples of the odometry over a sweep: 25 ms apart for a lidar of 5 turns a second."""
 MIN_RANGE_M, MAX_RANGE_M = 0.3, 100.0
 """Nearer points may be the robot itself, farther ones are not used."""
 LEAST_POINTS, MOST_POINTS = 50, 60_000
@@ -68,10 +67,10 @@ def sweeps_of(recording: Recording3D, T_base_lidar: Array, *, deskew: bool) -> I
 
 
 def _knots(recording: Recording3D, index: int, start: float, end: float) -> Array | None:
-    """Motion by the odometry from the stamp on, at KNOTS times between `start` and `end` [s after it]."""
+    """Motion by the odometry from the stamp on, at KNOTS + 1 times between `start` and `end` [s after it]."""
     odometry, stamp = recording.odometry, int(recording.stamps_ns[index])
     if odometry is None or not int(odometry.stamps_ns[0]) <= stamp <= int(odometry.stamps_ns[-1]):
         return None
-    times = np.concatenate([[0.0], np.linspace(start, end, KNOTS)])
+    times = np.concatenate([[0.0], np.linspace(start, end, KNOTS + 1)])
     T = odometry.at(stamp + nanoseconds(times))
     return se3.log(se3.lifted(T[0].inverse() @ T[1:]))
