@@ -49,6 +49,8 @@ from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts
 ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
 # Submaps looked at from one place are one while their headings differ by less than this cosine says.
 SAME_WAY = 0.7
+# A submap is aligned from where the pictures had it; its other scans are judged where that puts them.
+FROM_PICTURES, AS_PUT = Limits(0.4, 0.15), Limits(0.12, 0.06, iterations=0)
 
 
 class PlaceRecognitionConfig(Settings):
@@ -171,7 +173,7 @@ def _settled(
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     pose = start
-    for limits in (Limits(0.4, 0.15), ROUGH):
+    for limits in (FROM_PICTURES, ROUGH):
         result = matcher.match(clouds, middle, there, pose, limits)
         require_alignment(matcher, result)
         pose = result.T_map_base.xyt
@@ -180,7 +182,7 @@ def _settled(
     few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
     overlap = 1.0
     for k, T in zip(few, at, strict=True):
-        missed = 1.0 - matcher.match(clouds, _alone(int(keys[k])), there, T, Limits(0.12, 0.06, 0)).overlap
+        missed = 1.0 - matcher.match(clouds, _alone(int(keys[k])), there, T, AS_PUT).overlap
         overlap -= missed / len(few)
         if overlap < config.min_overlap:  # whatever the other scans say
             return _low_overlap(query, other, score, replace(result, overlap=overlap))

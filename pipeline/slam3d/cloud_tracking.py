@@ -17,11 +17,12 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.kiss import LidarOdometry
 from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered, thinned
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
-from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.surfels import KERNEL_M, Fit, Surfels, fit, make_surfels
 from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M, Sweep
 
 FrontEnd3d = Literal["surfels", "kiss_icp", "odometry"]

@@ -140,8 +140,6 @@ class Fit:
 KERNEL_M, GATE_VOXELS = 0.03, 0.7
 """Width of the Geman-McClure weight of a distance; the largest distance that counts once a pose is nearly
 right."""
-LEAST_OVERLAP = 0.35
-"""A cloud of which less lies on a place does not fit it."""
 INFLATION = 50.0
 """Points share their errors, so their sum counts so many times less."""
 LOOSE = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3] * 2)
