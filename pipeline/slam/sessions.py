@@ -24,8 +24,8 @@ from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks
 
 STEPS = ("step", "odometry", "steady")
 """Kinds of constraints along the log."""
-BORDER = np.array([0.2, 0.2, 0.1])
-"""Standard deviations of the constraint between two sessions [m, rad]."""
+BORDER = np.diag([25.0, 25.0, 100.0])
+"""Information of the constraint between two sessions: 0.2 m and 0.1 rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,4 +144,4 @@ def border_constraint(a: Track, T_map_keys: SE2, T_map_b: SE2, b: Track) -> Cons
     """Ties the first key of `b` to the last of `a`: weakly, the loops between them do the rest."""
     last = len(a.keys) - 1
     relative = T_map_keys[last].inverse() @ (T_map_b @ b.T_track_base[b.keys[0]])
-    return Constraint(last, last + 1, relative.xyt, np.diag(BORDER**-2), "loop")
+    return Constraint(last, last + 1, relative.xyt, BORDER, "loop")
