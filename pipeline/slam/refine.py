@@ -35,7 +35,7 @@ from turtlebag.pipeline.slam.correspondences import FINE, ROUGH, Limits, partner
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.open3d_icp import match_points
-from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise, relative, vectors
+from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise
 from turtlebag.pipeline.slam.threads import in_parts
 
 # Key scans farther apart than this, and than they usually see, see too little of the same to be partners [m];
@@ -83,7 +83,7 @@ def in_rounds(
     matched: Callable[[Poses, float], list[Constraint]],
     solve: Callable[[Poses, Sequence[Constraint], int], Poses] = optimise,
 ) -> tuple[Poses, list[Constraint]]:
-    """Pairs matched at the poses there are and the graph solved, until nothing moves.
+    """Pairs matched at the poses there are and the graph solved, again and again.
 
     `matched` gives the constraints of a round; its number goes from 0 (the first) to 1 (the last).
     """
@@ -92,11 +92,7 @@ def in_rounds(
     for round_ in range(rounds):
         f: float = round_ / max(rounds - 1, 1)
         constraints = [*steps, *matched(poses, f)]
-        new = solve(poses, constraints, 5)
-        moved = np.abs(vectors(relative(poses, new))).max()
-        poses = new
-        if f == 1.0 or (moved < 5e-4 and round_ > 2):
-            break
+        poses = solve(poses, constraints, 5)
     return poses, constraints
 
 
