@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rows import options, write
+from benchmarks.runner import options, write
 from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
 from turtlebag.datasets.bags.recover import recover

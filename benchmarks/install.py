@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.rows import ROOT, Row, options, write
+from benchmarks.runner import ROOT, Row, options, write
 from turtlebag.pipeline.setup.short_chain import SCRIPT
 
 NOT_COPIED = (".*", "__pycache__", "*.egg-info", "build", "data", "dist", "docs", "tests")

@@ -30,7 +30,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 import turtlebag as tb
-from benchmarks.rows import options, write
+from benchmarks.runner import options, write
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.writer import BagWriter

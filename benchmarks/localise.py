@@ -27,7 +27,7 @@ from typing import get_args
 import numpy as np
 
 from benchmarks.drives import INTEL, PLACES, Maps, Place, Sweep, built_map, kidnapped
-from benchmarks.rows import Row, Rows, options, parts_of, public, share, write
+from benchmarks.runner import Row, Rows, options, parts_of, public, share, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording

@@ -25,7 +25,7 @@ from typing import Any
 import yaml
 
 from benchmarks.mutants_draw import FOLDERS, Mutant, draw
-from benchmarks.rows import ROOT, Rows, interval, options
+from benchmarks.runner import ROOT, Rows, interval, options
 
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.yaml")
 CAUGHT = ("failed", "timeout")

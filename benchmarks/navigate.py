@@ -27,7 +27,7 @@ from benchmarks import navigate_faults as faults
 from benchmarks.drives import PLACES, Maps
 from benchmarks.navigate_cases import Case, Scenario
 from benchmarks.navigate_rows import failures, refused_row, row_of, summary
-from benchmarks.rows import Row, Rows, options, write
+from benchmarks.runner import Row, Rows, options, write
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.navigation.episode import drive

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from benchmarks.drives import PLACES, Maps
-from benchmarks.rows import public
+from benchmarks.runner import public
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream

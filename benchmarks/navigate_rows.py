@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from benchmarks.navigate_cases import Case
-from benchmarks.rows import Row, interval
+from benchmarks.runner import Row, interval
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.pipeline.navigation.episode import Episode
 from turtlebag.reports.metrics.navigation import collision_episodes

@@ -13,7 +13,7 @@ import argparse
 import ast
 from pathlib import Path
 
-from benchmarks.rows import ROOT
+from benchmarks.runner import ROOT
 
 
 def counted(source: str) -> tuple[list[str], list[str]]:

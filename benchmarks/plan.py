@@ -27,7 +27,7 @@ from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
 from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_shortest import Lattice
-from benchmarks.rows import Row, grouped, options, public, write
+from benchmarks.runner import Row, grouped, options, public, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream

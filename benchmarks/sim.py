@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import get_args
 from unittest.mock import patch
 
-from benchmarks.rows import Row, options, write
+from benchmarks.runner import Row, options, write
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.sim.lidar import Lidar
 from turtlebag.sim.physics import Physics

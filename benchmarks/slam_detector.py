@@ -14,10 +14,10 @@ import numpy as np
 
 from benchmarks.disturb import KINDS, SCORED
 from benchmarks.known import Known
-from benchmarks.rows import Case, Row, grouped, share
-from benchmarks.slam_cases import PLACES, ROBOTS, driven, mapped, world_of
-from benchmarks.slam_logs import arena, office, rooms
+from benchmarks.runner import Case, Row, grouped, share
+from benchmarks.slam_logs import PLACES, ROBOTS, driven, mapped, world_of
 from benchmarks.slam_scores import scored
+from tests.helpers.made_logs import arena, office, rooms
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.stages.map_summary import BAD_M
 
@@ -38,7 +38,7 @@ def source(place: str, robot: str, seed: int) -> Known:
     """A log nobody has seen, short enough for many of them."""
     if place in SYNTHETIC:
         return SYNTHETIC[place](seed)
-    return driven(world_of(place, seed), robot, SCRIPTS[seed % len(SCRIPTS)], seed, "realistic")[0]
+    return driven(world_of(place, seed), robot, SCRIPTS[seed % len(SCRIPTS)], seed)[0]
 
 
 def detector_row(place: str, robot: str, seed: int, kind: str) -> Row:

@@ -1,7 +1,7 @@
 """What a map costs: CPU seconds and peak memory of `turtlebag map` as a whole command, by size of the log.
 
-Grown are the time at one place (the arena gone round again and again), the area (a floor of more and more
-corridors, each driven once) and a public log (ACES, there and back until it has 20,000 scans).
+Grown are the time at one place (the arena gone round again and again), the area (a maze of more and more
+cells) and a public log (ACES, there and back until it has 20,000 scans).
 """
 
 from __future__ import annotations
@@ -12,30 +12,23 @@ import subprocess
 import sys
 import tempfile
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import yaml
 
 import turtlebag as tb
-from benchmarks.known import Known
-from benchmarks.rows import Case, Row
-from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
-from benchmarks.slam_logs import SIDES, crossing, door
-from benchmarks.slam_plans import FloorPlan
-from benchmarks.slam_public import public_log
-from tests.helpers.carmen_lines import carmen_text
+from benchmarks.runner import Case, Row
+from benchmarks.slam_logs import FAR, public_log
 from turtlebag.datasets.grid import UNKNOWN
 from turtlebag.datasets.kernels import folders
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.seeds import stream
 
 SCANS = 20_000
 GROWN = f"ACES to {SCANS} scans"
 LAPS = (1, 2, 4)
-BLOCKS = (1, 2, 3, 4)
-BLOCK_M = 14.0
+SIDES_M = (6, 12, 18)
+V = {"burger": 0.2, "jackal": 0.6}
 COSTS = ("scans", "keys", "area_m2", "cpu_s", "ms a scan", "scans per s", "peak_mb", "verdict")
 
 # A process of a few megabytes starts the command: Linux counts what the starting process held as the peak of
@@ -87,8 +80,12 @@ def growth_cases(data: Path | None) -> list[Case]:
     """The public logs there are, then the arena and the floor in all sizes."""
     logs = {"Intel": public_log(data, "intel"), GROWN: public_log(data, "aces")} if data else {}
     cases = [Case(name, partial(log_row, log, name == GROWN)) for name, log in logs.items() if log.is_file()]
-    cases += [Case(f"arena, {laps} x", partial(arena_row, laps)) for laps in LAPS]
-    return cases + [Case(f"floor, {n} x {n} blocks", partial(floor_row, n)) for n in BLOCKS]
+    cases += [
+        Case(f"arena, {laps} x", partial(driven_row, "turtlebot3_world", "burger", laps)) for laps in LAPS
+    ]
+    return cases + [
+        Case(f"maze, {n} x {n} m", partial(driven_row, f"maze:1,cells={n}", "jackal", 1)) for n in SIDES_M
+    ]
 
 
 def log_row(log: Path, grown: bool) -> Row:
@@ -97,19 +94,14 @@ def log_row(log: Path, grown: bool) -> Row:
     return text_row(there_and_back(text) if grown else text)
 
 
-def arena_row(laps: int) -> Row:
-    """The tutorial's arena with the tour driven so many times."""
+def driven_row(world: str, robot: str, laps: int) -> Row:
+    """A world with its tour driven so many times."""
     with tempfile.TemporaryDirectory() as place:
         script, drive = Path(place) / "laps.yaml", Path(place) / "drive"
         steps = [{"wait": 1.0}, *[{"route": "tour"}] * laps, {"wait": 1.0}]
-        script.write_text(yaml.safe_dump({"name": "laps", "v": 0.2, "w": 0.6, "steps": steps}))
-        tb.record("turtlebot3_world", "burger", teleop=script, out=drive)
+        script.write_text(yaml.safe_dump({"name": "laps", "v": V[robot], "w": 0.6, "steps": steps}))
+        tb.record(world, robot, teleop=script, settings=FAR if robot == "jackal" else None, out=drive)
         return map_cost(drive, Path(place))
-
-
-def floor_row(blocks: int) -> Row:
-    """A floor of blocks x blocks squares with corridors about them."""
-    return text_row(carmen_text(floor(blocks).recording).encode())
 
 
 def text_row(text: bytes) -> Row:
@@ -139,24 +131,3 @@ def there_and_back(content: bytes, scans: int = SCANS) -> bytes:
         for k, t in zip(order, clock.tolist(), strict=True)
     )
     return b"\n".join(said) + b"\n"
-
-
-def floor(blocks: int) -> Known:
-    """Corridors with doors about blocks x blocks squares of 14 m, each corridor driven once or twice."""
-    rng, w = stream(blocks, "floor"), 1.1
-    size, lines = BLOCK_M * blocks, [6.0 + BLOCK_M * k for k in range(blocks + 1)]
-    plan = FloorPlan(size + 12.0, size + 12.0)
-    crossing(plan, lines, lines, w)
-    for c, along, axis, side in product(lines, np.arange(9.0, 4.0 + size, 3.5), (0.0, 1.0), SIDES):
-        if min(abs(along - other) for other in lines) > 2.0 and rng.random() < 0.5:
-            door(plan, float(along), c + side * w, axis, side, False)
-    ends = (lines[0], lines[-1])
-    along_x = [(ends[(k + i) % 2], y) for k, y in enumerate(lines) for i in (0, 1)]
-    along_y = [(x, ends[(k + i) % 2]) for k, x in enumerate(lines) for i in (0, 1)]
-    if along_x[-1][0] > along_y[0][0]:
-        along_x.append((ends[0], along_x[-1][1]))
-    if along_x[-1][1] > along_y[0][1]:
-        along_x.append((ends[0], ends[0]))
-    route = np.array([(ends[0] + 2.0, ends[0]), *along_x[1:], *along_y[1:]])
-    sensor, wheels = Sensor(sick(180, 30.0), 0.2), Wheels(0.01, 0.02, 0.001)
-    return make_log(f"floor-{blocks}", plan, route, sensor, drive=Drive(v=0.6), wheels=wheels)

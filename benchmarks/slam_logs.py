@@ -1,297 +1,363 @@
-"""Synthetic logs with exact truth: the kinds of building, robot and mishap the mapper must cope with."""
+"""Logs of the mapper's campaign by name, public, simulated and disturbed, and how their maps are measured."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import product
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, lru_cache, partial
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
+from PIL import Image
 
-from benchmarks.known import Known
-from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, points_along, sick
-from benchmarks.slam_plans import FloorPlan
-from turtlebag.datasets.se2 import Array
+import turtlebag as tb
+from benchmarks.disturb import KINDS, MODES, disturbed
+from benchmarks.known import NO_RELATIONS, Known, chosen, known
+from benchmarks.runner import Case, Row
+from benchmarks.slam_scores import by_relations, errors, scored
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.relations import load_relations
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
+from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
+from turtlebag.reports.metrics.trajectory import associate
+from turtlebag.sim.simulator import Sensors
+from turtlebag.sim.teleop_scripts import script_names
 
-WHEELS = {
-    1: Wheels(0.01, 0.02, 0.001),
-    2: Wheels(-0.02, -0.03, -0.003),
-    3: Wheels(0.03, 0.01, 0.004, 0.008, 0.006),
+PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
+ROBOTS = ("burger", "waffle_pi")
+ROUNDS = 5
+SENSORS: tuple[Sensors, ...] = get_args(Sensors)
+TUTORIAL = [(world, robot) for world in (PLACES[4], PLACES[0]) for robot in ROBOTS]
+DOCUMENTED = (
+    *((world, robot, teleop, 1) for world, robot in TUTORIAL for teleop in ("tour", "fast", "spiral")),
+    *((world, robot, "tour", seed) for world, robot in TUTORIAL for seed in (2, 3)),
+    *((f"office:{seed}", "burger", "tour", seed) for seed in (31, 32, 33)),
+)
+"""The drives whose figures the documentation shows."""
+RADISH = ("mit-csail", "fr079", "intel")
+# The hospital is 430 m wide and 630 m long.
+SETTINGS = {"fr-clinic_robotlaser": {"grid": {"resolution_m": 0.1}}}
+ENOUGH_RELATIONS = 300
+COLUMNS = ("scan matching", "RBPF", "Graph Mapping 2009", "Cartographer 2016")
+# Mean translational [m] / rotational [deg] error as published: scan matching, gmapping (RBPF), Graph
+# Mapping 2009, Cartographer 2016.
+PUBLISHED = {
+    "intel": ("0.220", "0.070", "0.031 / 1.3", "0.0229 / 0.453"),
+    "fr079": ("0.258", "0.061", "0.056 / 0.6", "0.0452 / 0.538"),
+    "mit-csail": ("0.106", "0.049", "0.004 / 0.05", "0.0319 / 0.369"),
+    "aces": ("0.173", "0.060", "0.044 / 0.4", "0.0375 / 0.373"),
+    "mit-killian": ("1.651", "0.122", "0.050 / 0.5", "0.0395 / 0.352"),
 }
-SIDES = (-1.0, 1.0)
+
+WORLDS = Path(__file__).with_name("worlds")
+BRISK = str(WORLDS / "brisk.yaml")
+ROUND = str(WORLDS / "round.yaml")
+FAR = {"sim.lidar.rate_hz": 5.0}
+"""A Jackal's lidar, which sees 30 m far, at the rate of the others."""
+SLIP = {"sim.faults.slip": [[20.0, 25.0, 0.7, 0.7], [90.0, 95.0, 0.6, 0.0]]}
+SILENT = {"sim.faults.scan_silent": [[35.0, 38.0], [120.0, 123.0]]}
+PEOPLE = "+clutter:1,boxes=0,movers=4"
+MISHAPS: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
+    "plain": ("", {}, ()),
+    "slip": ("", SLIP, ()),
+    "silent": ("", SILENT, ()),
+    "people": (PEOPLE, {}, ()),
+    "stuck": ("", {}, ("stuck",)),
+    "jump": ("", {}, ("jump",)),
+    "backwards": ("", {}, ("counted back",)),
+    "all": (PEOPLE, SLIP | SILENT, ("counted back", "jump")),
+}
+"""What goes wrong in an office: people, faults of the simulator's, and kinds of `disturb`."""
+BARE = ("corridors", "hall")
+"""Worlds of `benchmarks/worlds`: for most of the way a burger's lidar sees nothing but two bare walls."""
+
+MADE: dict[str, tuple[str, str, int]] = {
+    f"{place}-{what}-{seed}": (place, what, seed)
+    for seed in (1, 2)
+    for place, whats in {**dict.fromkeys((*BARE, "maze", "forest"), ("plain",)), "office": MISHAPS}.items()
+    for what in whats
+}
+"""Logs with mishaps by name: place, mishap, and seed."""
 
 
-def wheels_of(seed: int) -> Wheels:
-    """The wheels of a seed: drawn with it where they are not one of WHEELS."""
-    scale, turn, drift = stream(seed, "wheels").uniform(-1.0, 1.0, 3) * (0.03, 0.03, 0.004)
-    return WHEELS.get(seed) or Wheels(float(scale), float(turn), float(drift))
+# One map, measured.
 
 
-def ring(seed: int, range_max: float) -> Known:
-    """Corridor ring 20 x 14 m, 2 m wide, not one feature on its walls; three laps."""
-    plan = FloorPlan(24.0, 18.0)
-    plan.carve(2.0, 2.0, 22.0, 16.0)
-    plan.box(4.0, 4.0, 20.0, 14.0)
-    lap = [(3.0, 3.0), (21.0, 3.0), (21.0, 15.0), (3.0, 15.0)]
-    route = np.array([(8.0, 3.0), *(lap[1:] + lap[:1]) * 3, (9.0, 3.0)])
-    sensor = Sensor(sick(180, range_max), 0.2)
-    return make_log(f"ring-{range_max:.0f}m-{seed}", plan, route, sensor, wheels=WHEELS[seed], seed=seed)
+def mapped(recording: Recording, settings: dict[str, Any] | None = None) -> tuple[SlamResult, Row]:
+    """The map of a log, and what its row says whatever is known of the truth.
+
+    CPU seconds are those of mapping alone, with everything loaded and compiled.
+    """
+    warm_up()
+    start = time.process_time()
+    result = run_slam(recording, SlamConfig.model_validate(settings or {}))
+    spent = time.process_time() - start
+    check = result.check.as_metrics()
+    return result, {
+        "scans": len(recording),
+        "cpu_s": round(spent, 2),
+        "verdict": check["verdict"],
+        "reasons": check["reasons"],
+        "loops": sum(loop.accepted for loop in result.loops),
+    }
 
 
-def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float = 0.2) -> Known:
-    """Two rooms joined by 30 m of corridor without a feature (seen from 8 m), there and back."""
-    plan = FloorPlan(46.0, 12.0)
-    plan.carve(1.0, 2.0, 7.0, 10.0)
-    plan.carve(39.0, 1.0, 45.0, 8.0)
-    plan.carve(7.0, 4.0, 39.0, 6.0)
-    plan.pillar(3.0, 8.0, 0.3)
-    plan.turned_box(42.0, 2.5, 1.2, 0.6, 0.5)
-    leg = [(3.0, 3.5), (5.5, 5.0), (41.0, 5.0), (43.0, 6.5), (43.5, 4.0), (41.0, 5.0), (5.5, 5.0), (3.0, 6.5)]
-    route = np.array(([*leg, (2.0, 4.0)] * tours)[:-1])
-    sensor = Sensor(sick(180, 8.0), period)
-    return make_log(f"hall-{seed}", plan, route, sensor, wheels=WHEELS[seed], lies=lies, seed=seed)
+@cache
+def warm_up() -> None:
+    """Compile the kernels and load the libraries, so that no row pays for it."""
+    run_slam(driven("turtlebot3_world")[0].with_scans(slice(60)).recording, SlamConfig())
 
 
-def killian(seed: int) -> Known:
-    """Long corridors with identical doors, alcoves and rooms: 104 x 44 m, two loops, 10000 scans."""
-    rng = stream(seed, "killian plan")
-    plan = FloorPlan(120.0, 60.0)
-    x0, x1, x2, y0, y1 = 8.0, 60.0, 112.0, 8.0, 52.0
-    w = 1.2
-    crossing(plan, (x0, x1, x2), (y0, y1), w)
-    for y, x, side in product((y0, y1), np.arange(x0 + 4.0, x2 - 3.0, 4.0), SIDES):
-        door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
-    for x, y, side in product((x0, x1, x2), np.arange(y0 + 6.0, y1 - 5.0, 4.0), SIDES):
-        door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
-    for _ in range(25):
-        x = rng.choice([x0, x1]) + rng.uniform(4.0, 46.0)
-        y, side = rng.choice([y0, y1]), rng.choice(SIDES)
-        low, high = sorted((side * (w - 0.3), side * w))
-        plan.box(x, y + low, x + rng.uniform(0.4, 1.5), y + high)
-    big = [(x0, y0), (x2, y0), (x2, y1), (x0, y1)]
-    left = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    route = np.array(
-        [(x0 + 3.0, y0), *big[1:], *left, *big[:1], *big[::-1], *left[:1], *left, (x0, y0), (x0 + 9, y0)]
-    )
-    wheels = {1: Wheels(0.02, 0.04, 0.004), 2: Wheels(-0.02, -0.03, 0.006, 0.01, 0.01)}[seed]
-    sensor = Sensor(sick(180, 50.0), 0.16)
-    return make_log(f"killian-{seed}", plan, route, sensor, drive=Drive(v=0.75), wheels=wheels, seed=seed)
+def picture(grid: OccupancyGrid, folder: Path, name: str) -> None:
+    """A map as pgm, yaml and png."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = name.replace(":", "_").replace("/", "_")
+    save_map(grid, folder, name)
+    Image.open(folder / f"{name}.pgm").save(folder / f"{name}.png")
 
 
-def aces(seed: int) -> Known:
-    """Square building of four corridors crossed by two more, with doors; 50 x 50 m."""
-    rng = stream(seed, "aces plan")
-    plan = FloorPlan(62.0, 62.0)
-    lines, w = (6.0, 31.0, 56.0), 1.1
-    crossing(plan, lines, lines, w)
-    for c, along, side, axis in product(lines, np.arange(9.0, 54.0, 3.5), SIDES, (0.0, 1.0)):
-        if abs(along - 31.0) >= 3.0 and rng.random() < 0.5:
-            door(plan, along, c + side * w, axis, side, False)
-    a, b, c = lines
-    lap = [(a, a), (c, a), (c, c), (a, c)]
-    route = np.array(
-        [(a + 2, a), *lap[1:], (a, b), (c, b), (c, a), (b, a), (b, c), (a, c), (a, a), *lap[1:3], (b, c)]
-    )
-    return make_log(
-        f"aces-{seed}", plan, route, Sensor(sick(180, 40.0), 0.2), wheels=WHEELS[seed + 1], seed=seed
-    )
+# Simulated drives.
 
 
-def crossing(plan: FloorPlan, xs: Sequence[float], ys: Sequence[float], half: float) -> None:
-    """Corridors along x at each of `ys` and along y at each of `xs`, `half` of their width to either side."""
-    for y in ys:
-        plan.carve(xs[0] - half, y - half, xs[-1] + half, y + half)
-    for x in xs:
-        plan.carve(x - half, ys[0] - half, x + half, ys[-1] + half)
+def driven(
+    world: str,
+    robot: str = "burger",
+    teleop: str = "tour",
+    seed: int = 1,
+    sensors: str = "realistic",
+    **more: Any,
+) -> tuple[Known, tb.Bag]:
+    """A simulated drive, its log with the true poses; `more` are settings of the simulator."""
+    settings = {"sim.sensors": sensors, **more}
+    bag = tb.record(world, robot, teleop=teleop, seed=seed, settings=settings)
+    return known(bag.recording, bag.truth.at(bag.recording.stamps_ns)), bag
 
 
-def door(plan: FloorPlan, along: float, across: float, axis: float, side: float, room: bool) -> None:
-    """An alcove 0.9 m wide, 0.2 m deep; a room of 3.4 x 4 m behind it when open."""
-
-    def carve(a0: float, a1: float, c0: float, c1: float) -> None:
-        c0, c1 = min(c0, c1), max(c0, c1)
-        if axis == 0.0:
-            plan.carve(a0, c0, a1, c1)
-        else:
-            plan.carve(c0, a0, c1, a1)
-
-    carve(along - 0.45, along + 0.45, across, across + side * 0.2)
-    if room:
-        carve(along - 0.45, along + 0.45, across, across + side * 0.4)
-        carve(along - 1.7, along + 1.7, across + side * 0.4, across + side * 4.4)
-
-
-def office_plan(seed: int) -> FloorPlan:
-    """Two corridors round a block of rooms, rooms outside as well, furniture in all; 34 x 22 m."""
-    rng = stream(seed, "office plan")
-    plan = FloorPlan(34.0, 22.0)
-    plan.carve(6.0, 6.0, 28.0, 16.0)
-    plan.box(8.0, 8.0, 26.0, 14.0)
-    for x in (8.2, 12.8, 17.4, 22.0):
-        for y, door in ((8.2, 8.0), (1.0, 5.85), (16.15, 16.0)):
-            depth = {8.2: 5.6, 1.0: 4.85, 16.15: 4.85}[y]
-            plan.carve(x, y, x + 3.6, y + depth)
-            plan.carve(x + 1.4, door - 0.1, x + 2.4, door + 0.3)
-            for _ in range(3):
-                fx, fy = x + rng.choice([0.5, 3.1]), y + rng.uniform(0.6, depth - 0.6)
-                plan.turned_box(fx, fy, rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.5), rng.uniform(0.0, 3.0))
-    for y in (6.5, 11.5):
-        plan.carve(1.0, y, 5.85, y + 4.2)
-        plan.carve(5.8, y + 1.6, 6.1, y + 2.6)
-        plan.carve(28.15, y, 33.0, y + 4.2)
-        plan.carve(27.9, y + 1.6, 28.2, y + 2.6)
-        plan.turned_box(2.0, y + 1.0, 1.2, 0.6, rng.uniform(0.0, 3.0))
-        plan.turned_box(31.5, y + 3.0, 1.2, 0.6, rng.uniform(0.0, 3.0))
-    return plan
+def drive_row(drive: Row, pictures: Path | None) -> Row:
+    """A simulated drive, its trajectory and its map against the exact truth."""
+    log, bag = driven(**drive)
+    true_map = load_map(bag.path / "truth/map.yaml")
+    result, row = mapped(log.recording)
+    if pictures is not None:
+        picture(result.grid, pictures / "maps", "-".join(map(str, drive.values())))
+    found: Any = map_metrics(result.grid, true_map)
+    row |= scored(log, result.trajectory)
+    seen = max(int(visible_surface(true_map, result.grid).sum()), 1)
+    return row | {
+        "within": found["occupied_error_m"]["within_one_cell"],
+        "iou": found["iou"],
+        "walls": float(occupied(result.grid).sum() / seen),
+        "stuck": any("ended early" in note for note in bag.notes),
+    }
 
 
-def office_route(rooms: int = 8) -> Array:
-    """Round the corridors twice, into `rooms` of the rooms."""
-
-    def visit(x: float, corridor: float, inside: float) -> list[tuple[float, float]]:
-        return [(x, corridor), (x, inside), (x + 0.3, inside), (x, corridor)]
-
-    stops = [
-        [(9.0, 7.0), *visit(10.1, 7.0, 4.0), *visit(14.7, 7.0, 10.5)],
-        [*visit(19.3, 7.0, 4.2), (27.0, 7.0), (27.0, 8.6), (30.0, 8.6), (30.2, 8.7), (27.0, 8.6)],
-        [(27.0, 15.0), *visit(23.9, 15.0, 18.5), *visit(19.3, 15.0, 17.8)],
-        [*visit(14.7, 15.0, 18.0), (7.0, 15.0), (7.0, 13.6), (4.0, 13.6), (3.9, 13.4), (7.0, 13.6)],
-    ]
-    lap = [point for part in stops[: max(1, rooms // 2)] for point in part]
-    plain = [(7.0, 7.0), (27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0), (12.0, 7.0)]
-    return np.array([(9.0, 7.0), *lap, *plain])
+def drive_case(
+    world: str, robot: str, teleop: str, seed: int, sensors: Sensors, pictures: Path | None = None
+) -> Case:
+    """The case of a simulated drive."""
+    about = {"world": world, "robot": robot, "teleop": teleop, "seed": seed, "sensors": sensors}
+    return Case("-".join(map(str, about.values())), partial(drive_row, about, pictures), about)
 
 
-OFFICE_SENSOR = Sensor(sick(360, 40.0), 0.2, T_base_lidar=(0.08, 0.0, 0.0))
+def drive_cases() -> list[Case]:
+    """Drives of every place, robot and script; of each number of them from the first as many of each kind.
+
+    Every drive has a seed of its own, and so has the world where worlds are made of seeds.
+    """
+    scripts, cases = script_names(), []
+    for number in range(ROUNDS * len(PLACES) * len(ROBOTS) * len(scripts)):
+        (turn, place), seed = divmod(number, len(PLACES)), 5001 + number
+        robot, teleop = ROBOTS[(turn + place) % 2], scripts[(turn // 2 + place) % len(scripts)]
+        cases.append(drive_case(world_of(PLACES[place], seed), robot, teleop, seed, "realistic"))
+    return cases
 
 
-def office(seed: int, what: str = "plain") -> Known:
-    """The office with one mishap: see MISHAPS."""
-    lies, change, person = MISHAPS[what]
-    log = make_log(
-        f"office-{what}-{seed}", office_plan(seed), office_route(), OFFICE_SENSOR,
-        wheels=wheels_of(seed), lies=lies, seed=seed, person=person, pace=1.0,
-    )  # fmt: skip
-    return change(log)
+def world_of(place: str, seed: int) -> str:
+    """The world of a seed; the tutorial's two are always the same."""
+    return place if place.startswith("turtlebot3") else f"{place}:{seed}"
 
 
-Change = Callable[[Known], Known]
+def fast_cases() -> list[Case]:
+    """Fifty fast drives through the house, with either set of sensors."""
+    return [drive_case(PLACES[0], "burger", "fast", seed, s) for seed in range(1001, 1051) for s in SENSORS]
 
 
-def _same(log: Known) -> Known:
+def world_cases(out: Path) -> list[Case]:
+    """The drives of the documentation, with either set of sensors."""
+    return [drive_case(*drive, sensors, out) for drive in DOCUMENTED for sensors in SENSORS]
+
+
+# Simulated logs with mishaps, and with other lidars.
+
+
+@lru_cache(maxsize=1)
+def mishap(place: str, what: str, seed: int) -> Known:
+    """A log of a place with one of MISHAPS; the last one is kept at hand."""
+    people, faults, kinds = MISHAPS[what]
+    if place in BARE:
+        log, _ = driven(str(WORLDS / f"{place}.yaml"), teleop=ROUND, seed=seed)
+    else:
+        log, _ = driven(f"{place}:{40 + seed}{people}", "jackal", BRISK, seed, **FAR, **faults)
+    for kind in kinds:
+        log = KINDS[kind](log, stream(seed, kind))
     return log
 
 
-def _gaps(log: Known) -> Known:
-    return log.without(35.0, 3.0).without(120.0, 3.0)
+def lidar_of(log: Known, metres: float) -> Known:
+    """The log of a lidar that reaches so far."""
+    lidar = log.recording.lidar
+    reach = min(metres, lidar.range_max)
+    return log.shortened(metres).recorded(lidar=replace(lidar, range_max=reach))
 
 
-MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
-    "plain": ((), _same, False),
-    "reverse": ((Lie("reverse", 20.0, 6.0), Lie("reverse", 95.0, 8.0)), _same, False),
-    "freeze": ((Lie("freeze", 18.0, 1.5), Lie("freeze", 60.0, 2.0), Lie("freeze", 140.0, 1.0)), _same, False),
-    "slip": ((Lie("slip", 25.0, 5.0), Lie("spin", 110.0, 5.0)), _same, False),
-    "jump": ((Lie("jump", 40.0, 0.1), Lie("jump", 150.0, 0.1)), _same, False),
-    "gaps": ((), _gaps, False),
-    "blind": ((), lambda log: log.blinded(30.0, 2.0).blinded(130.0, 4.0), False),
-    "backwards": ((), lambda log: log.clock_back(100.0, 40.0), False),
-    "shaken": ((), lambda log: log.shaken_stamps(0.1, 0.5), False),
-    "person": ((), _same, True),
-    "all": (
-        (
-            Lie("reverse", 20.0, 6.0), Lie("freeze", 60.0, 1.5), Lie("slip", 110.0, 5.0),
-            Lie("jump", 150.0, 0.1),
-        ),
-        _gaps, True,
-    ),
-}  # fmt: skip
-"""How the odometry lies, what is done to the log, and whether a person walks about."""
+def slower(log: Known, period: float) -> Known:
+    """The log of a lidar that takes a scan every so many seconds."""
+    every = round(period / float(np.median(np.diff(log.times))))
+    return log.with_scans(slice(None, None, max(1, every)))
 
 
-def burger_lidar(x: float = -0.032) -> Sensor:
-    """TurtleBot3's lidar, with white noise alone."""
-    return Sensor(lds(), 0.2, T_base_lidar=(x, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
+def at_range_max(log: Known) -> Known:
+    """The log of a driver that says range_max where nothing came back."""
+    ranges = log.recording.ranges
+    return log.with_ranges(np.where(np.isposinf(ranges), log.recording.lidar.range_max, ranges))
 
 
-def arena(seed: int, style: str) -> Known:
-    """Nine pillars in a walled arena, TurtleBot3's lidar turning."""
-    plan = FloorPlan(7.0, 7.0)
-    plan.carve(1.0, 1.0, 6.0, 6.0)
-    for x, y in ((1.2, 1.2), (5.8, 1.2), (1.2, 5.8), (5.8, 5.8)):
-        plan.turned_box(x, y, 1.0, 1.0, 0.785)
-    for x, y in product((2.4, 3.5, 4.6), repeat=2):
-        plan.pillar(x, y, 0.15)
-    a, b, c, d = 1.85, 2.95, 4.05, 5.15
-    lap = [(b, a), (b, b), (c, b), (c, a), (d, a), (d, d), (c, d), (c, c), (b, c), (b, d), (a, d), (a, c)]
-    route = [(a, a), *lap, (a, a)] * 2
-    if style == "spiral":
-        t = np.linspace(0.0, 1.0, 60)
-        route = [(a, a), (b, a)]
-        for k in range(10):
-            cx, cy = ((b, b), (c, b), (c, c), (b, c))[k % 4]
-            route += list(zip(cx + 0.25 * np.cos(12 * t), cy + 0.25 * np.sin(12 * t), strict=True))
-    drive = {
-        "slow": Drive(v=0.12, w=0.6, ahead=0.3),
-        "fast": Drive(v=0.22, w=2.6, dv=2.0, dw=10.0, ahead=0.25),
-        "spiral": Drive(v=0.18, w=2.0, dv=2.0, dw=10.0, ahead=0.12),
-    }[style]
-    sensor = burger_lidar()
-    return make_log(
-        f"arena-{style}-{seed}", plan, np.array(route), sensor, drive=drive, wheels=wheels_of(seed), seed=seed
-    )
+def narrow(log: Known) -> Known:
+    """The log of a lidar that sees 120 degrees."""
+    return log.with_ranges(np.where(log.outside(120.0), np.nan, log.recording.ranges))
 
 
-def rooms(seed: int) -> Known:
-    """A small house for TurtleBot3: six rooms, 11 x 7.5 m, walls often beyond the lidar's 3.5 m."""
-    plan = FloorPlan(13.0, 9.5)
-    for x in (1.0, 4.7, 8.4):
-        plan.carve(x, 1.0, x + 3.55, 3.6)
-        plan.carve(x, 4.8, x + 3.55, 8.5)
-        plan.carve(x + 1.2, 3.5, x + 2.1, 4.9)
-    plan.carve(1.0, 3.75, 11.95, 4.65)
-    for x, y, a in ((2.0, 7.6, 0.2), (6.0, 1.6, 0.9), (9.0, 7.8, 0.0), (11.2, 1.7, 0.4), (5.2, 7.9, 1.2)):
-        plan.turned_box(x, y, 0.8, 0.4, a)
-    route = [(2.0, 2.0)]
-    for x, up in ((1.0, True), (4.7, False), (4.7, True), (8.4, False), (8.4, True), (1.0, False)):
-        d, y, inside = x + 1.65, 6.0 if up else 2.5, 6.6 if up else 2.5
-        route += [(d, 4.2), (d, y), (d + 0.8, inside), (d, y), (d, 4.2)]
-    sensor = burger_lidar(-0.064)
-    drive = Drive(v=0.22, w=1.2, ahead=0.3)
-    return make_log(
-        f"rooms-{seed}", plan, np.array(route), sensor, drive=drive, wheels=wheels_of(seed), seed=seed
-    )
-
-
-def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0.02) -> Known:
-    """A hall of table and chair legs, `density` a square metre: two laps with no surface in sight."""
-    rng = stream(seed, "posts")
-    plan = FloorPlan(size + 2.0, size + 2.0)
-    plan.carve(1.0, 1.0, size + 1.0, size + 1.0)
-    a, b = 6.0, size - 4.0
-    lap = [(b, a), (b, b), (a, b), (a, a)]
-    route = np.array([(a + 2.0, a), *lap, *lap, (a + 4.0, a)])
-    driven = points_along(route, 0.1)
-    placed = np.empty((0, 2))
-    for xy in rng.uniform(1.3, size + 0.7, (20 * round(density * size * size), 2)):
-        apart = np.linalg.norm(placed - xy, axis=1).min(initial=np.inf)
-        if np.linalg.norm(driven - xy, axis=1).min() > 0.5 and apart > 0.35:
-            placed = np.vstack([placed, xy])
-            plan.pillar(float(xy[0]), float(xy[1]), radius)
-        if len(placed) >= density * size * size:
-            break
-    sensor = burger_lidar()
-    drive = Drive(v=0.22, w=1.0, ahead=0.3)
-    return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=wheels_of(seed), seed=seed)
-
-
-LOGS: dict[str, Callable[[], Known]] = {
-    **{f"ring-{r}m-{s}": (lambda s=s, r=r: ring(s, float(r))) for r in (8, 80) for s in (1, 2, 3)},
-    **{f"hall-{s}": (lambda s=s: hall(s)) for s in (1, 2, 3)},
-    **{f"killian-{s}": (lambda s=s: killian(s)) for s in (1, 2)},
-    **{f"aces-{s}": (lambda s=s: aces(s)) for s in (1, 2)},
-    **{f"office-{m}-{s}": (lambda s=s, m=m: office(s, m)) for m in MISHAPS for s in (1, 2)},
-    **{f"arena-{d}-{s}": (lambda s=s, d=d: arena(s, d)) for d in ("slow", "fast", "spiral") for s in (1, 2)},
-    **{f"rooms-{s}": (lambda s=s: rooms(s)) for s in (1, 2)},
-    **{f"posts-{s}": (lambda s=s: posts(s)) for s in (1, 2, 3)},
+LIDARS: dict[str, Callable[[Known], Known]] = {
+    "as it is": lambda log: log,
+    "3.5 m": lambda log: lidar_of(log, 3.5),
+    "120 deg": narrow,
+    "1 Hz": lambda log: slower(log, 1.0),
+    "range_max": at_range_max,
 }
-"""Every log by name; calling makes it."""
+
+
+def mishap_row(log: str, lidar: str, pictures: Path) -> Row:
+    """A log with mishaps and one of LIDARS, against the exact truth."""
+    made = by_name(None, log)
+    heard = LIDARS[lidar](made)
+    result, row = mapped(heard.recording)
+    picture(result.grid, pictures / "maps", f"{log}-{lidar}".replace(" ", "_"))
+    wheels = {"driven_m": made.truth.length(), "odometry_m": errors(heard.odometry, heard.reference)["m"]}
+    return row | scored(heard, result.trajectory) | wheels
+
+
+def mishap_cases(out: Path) -> list[Case]:
+    """Every log of MADE with every lidar; a burger's sees no farther than 3.5 m anyway."""
+    pairs = [
+        {"log": log, "lidar": lidar}
+        for log in MADE
+        for lidar in LIDARS
+        if lidar != "3.5 m" or MADE[log][0] not in BARE
+    ]
+    return [
+        Case("{log}, {lidar}".format(**pair), partial(mishap_row, pictures=out, **pair), pair)
+        for pair in pairs
+    ]
+
+
+# Public logs.
+
+
+def stem(log: Path) -> str:
+    """The name of a log's truth beside it, without what kind it is."""
+    return log.name.split(".clf")[0]
+
+
+@lru_cache(maxsize=1)
+def read(log: Path) -> Known:
+    """A log with the relations or the reference poses that lie beside it; the last one is kept at hand."""
+    recording = load_recording(log)
+    relations, reference = (log.with_name(f"{stem(log)}.{kind}") for kind in ("relations", "reference.tum"))
+    places = np.full((len(recording), 3), np.nan)
+    if reference.is_file():
+        pairs = associate(Trajectory(recording.stamps_ns, SE2(places)), load_tum(reference))
+        places[np.isin(recording.stamps_ns, pairs.stamps_ns)] = pairs.T_world_base.xyt
+    return known(recording, SE2(places), load_relations(relations) if relations.is_file() else NO_RELATIONS)
+
+
+def public_log(data: Path, name: str) -> Path:
+    """Where a public log lies."""
+    return data / ("radish" if name in RADISH else "wild") / f"{name}.clf.bz2"
+
+
+def by_name(data: Path | None, name: str) -> Known:
+    """A log with what is known of it.
+
+    Names are those of MADE, of worlds of PLACES (with `-robot-script-seed` where that is not a burger's first
+    tour), and of the public logs in `data`.
+    """
+    if name in MADE:
+        return mishap(*MADE[name])
+    place, *drive = name.split("-")
+    if place.partition(":")[0] in PLACES:
+        robot, teleop, seed = drive or ("burger", "tour", "1")
+        return driven(place, robot, teleop, int(seed))[0]
+    assert data is not None
+    return read(public_log(data, name))
+
+
+def log_row(
+    data: Path | None, log: str, settings: dict[str, Any] | None = None, pictures: Path | None = None
+) -> Row:
+    """A log by its name, mapped with some settings."""
+    made = by_name(data, log)
+    result, row = mapped(made.recording, settings)
+    if pictures is not None:
+        picture(result.grid, pictures / "maps", log)
+    return row | scored(made, result.trajectory)
+
+
+@lru_cache(maxsize=len(RADISH))
+def undisturbed(log: Path) -> Trajectory:
+    """The trajectory that the log as it is gives, which all of its modes are compared with."""
+    return mapped(read(log).recording)[0].trajectory
+
+
+def disturbed_row(log: Path, mode: str) -> Row:
+    """A log in one of MODES, beside the undisturbed one by the same relations.
+
+    Where too few relations are left, the errors are those against the undisturbed map.
+    """
+    before, relations = undisturbed(log), read(log).relations
+    harder = disturbed(replace(read(log), reference=before.poses), mode)
+    result, row = mapped(harder.recording)
+    if len(harder.which) < ENOUGH_RELATIONS:
+        return row | errors(result.trajectory.poses, harder.reference) | {"scored by": "undisturbed map"}
+    row |= by_relations(result.trajectory, harder.relations) | {"scored by": f"{len(harder.which)} relations"}
+    same = by_relations(before, chosen(relations, harder.which))
+    return row | {"before_m": same["m"], "before_deg": same["deg"], "ratio": row["m"] / same["m"]}
+
+
+def log_cases(data: Path, pictures: Path) -> list[Case]:
+    """The public logs there are."""
+    found = [public_log(data, name) for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
+    cases = []
+    for name in (stem(log) for log in found if log.is_file()):
+        published = dict(zip(COLUMNS, PUBLISHED.get(name, ()), strict=False))
+        cases.append(Case(name, partial(log_row, data, name, SETTINGS.get(name), pictures), published))
+    return cases
+
+
+def disturbed_cases(data: Path) -> list[Case]:
+    """Each public log with relations in each mode; the first fifteen are each mode once."""
+    logs = [log for name in RADISH if (log := public_log(data, name)).is_file()]
+    cases = []
+    for shift in range(len(logs)):
+        for k, mode in enumerate(MODES):
+            log = logs[(k + shift) % len(logs)]
+            about = {"log": stem(log), "mode": mode}
+            cases.append(Case(f"{stem(log)}-{mode}", partial(disturbed_row, log, mode), about))
+    return cases

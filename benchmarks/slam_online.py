@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rows import Case, Row, held_mb
-from benchmarks.slam_cases import mapped
+from benchmarks.runner import Case, Row, held_mb
 from benchmarks.slam_growth import GROWN, there_and_back
-from benchmarks.slam_public import RADISH, by_name, public_log, read
+from benchmarks.slam_logs import RADISH, by_name, mapped, public_log, read
 from benchmarks.slam_scores import scored
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2
@@ -114,7 +113,7 @@ def hours_row() -> Row:
 
 def online_cases(data: Path | None) -> list[Case]:
     """Public logs there are, drives, synthetic logs, 20,000 scans, two hours."""
-    made = (*DRIVES, "posts-1", "hall-2", "rooms-1")
+    made = (*DRIVES, "hall-plain-1", "office-all-1")
     there = [name for name in PUBLIC if data and public_log(data, name).is_file()]
     cases = [Case(name, partial(online_row, data, name)) for name in (*there, *made)]
     cases.append(Case(f"arena, {HOURS:g} h", hours_row))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.known import Known
-from benchmarks.rows import Row
+from benchmarks.runner import Row
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream

@@ -26,8 +26,7 @@ from typing import Any
 import numpy as np
 from tornado.websocket import WebSocketClientConnection
 
-from benchmarks.rows import Row, held_mb, options, public, write
-from benchmarks.workers import SPAWN
+from benchmarks.runner import SPAWN, Row, held_mb, options, public, write
 from docs.examples.studio_client import Client
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output

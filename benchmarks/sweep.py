@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import turtlebag as tb
-from benchmarks.rows import Row, held_mb, options, parts_of, write
+from benchmarks.runner import Row, held_mb, options, parts_of, write
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Run, Where
 from turtlebag.pipeline.campaign.cases import cases

@@ -10,7 +10,7 @@ from benchmarks import navigate_faults as faults
 from benchmarks.drives import Maps
 from benchmarks.navigate import scenarios, with_sensors
 from benchmarks.navigate_rows import failures, own_contacts, refused_row, row_of, spans, summary
-from benchmarks.rows import Rows, interval
+from benchmarks.runner import Rows, interval
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLogBuilder
 from turtlebag.datasets.se2 import SE2

@@ -10,15 +10,14 @@ from functools import partial
 
 import pytest
 
-from benchmarks import rows as frame
+from benchmarks import runner as frame
 from benchmarks import slam_campaign
 from benchmarks.disturb import KINDS, SCORED
 from benchmarks.numbers import counted
-from benchmarks.rows import Case, Rows
-from benchmarks.slam_cases import drive_cases
+from benchmarks.runner import Case, Rows, in_processes
 from benchmarks.slam_detector import accuracy, detection, detector_cases, judged
+from benchmarks.slam_logs import drive_cases
 from benchmarks.slam_parts import NUMBERS, multiply_constant
-from benchmarks.workers import in_processes
 from turtlebag.pipeline.slam import (
     align,
     calibration,
@@ -132,7 +131,7 @@ def test_a_case_that_raises_dies_or_hangs_has_a_row_and_the_others_go_on():
 def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     def suites(out, data):
         cases = [Case(str(k), partial(dict, m=k / 10)) for k in range(3)]
-        return {"few": slam_campaign.Suite(cases, ("case", "m"), code=("benchmarks/workers.py",))}
+        return {"few": slam_campaign.Suite(cases, ("case", "m"), code=("benchmarks/runner.py",))}
 
     monkeypatch.setattr(slam_campaign, "suites", suites)
     monkeypatch.delenv("TURTLEBAG_DATA", raising=False)

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.disturb import KINDS, MODES, disturbed, mirror, reverse
 from benchmarks.known import Known, known
-from benchmarks.slam_cases import VARIANTS
+from benchmarks.slam_logs import LIDARS
 from benchmarks.slam_scores import by_relations, errors
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2
@@ -164,10 +164,10 @@ def test_a_seed_gives_the_same_log_and_another_another():
 
 def test_the_synthetic_lidars_are_what_their_names_say():
     log = a_log()
-    assert VARIANTS["3.5 m"](log).recording.lidar.range_max == 3.5
-    assert np.isinf(VARIANTS["3.5 m"](log).recording.ranges[log.recording.ranges > 3.5]).all()
-    assert np.median(np.diff(VARIANTS["1 Hz"](log).recording.stamps_ns)) == 1e9
-    full = VARIANTS["range_max"](log).recording.ranges
+    assert LIDARS["3.5 m"](log).recording.lidar.range_max == 3.5
+    assert np.isinf(LIDARS["3.5 m"](log).recording.ranges[log.recording.ranges > 3.5]).all()
+    assert np.median(np.diff(LIDARS["1 Hz"](log).recording.stamps_ns)) == 1e9
+    full = LIDARS["range_max"](log).recording.ranges
     assert (full == 80.0).sum() == np.isinf(log.recording.ranges).sum()
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.slam_drives import Lie, Sensor, Wheels, make_log, sick
-from benchmarks.slam_logs import office_plan, office_route
+from tests.helpers.made_drives import Lie, Sensor, Wheels, make_log, sick
+from tests.helpers.made_logs import office_plan, office_route
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.calibration import Calibration, calibrate
 from turtlebag.pipeline.slam.clouds import make_clouds

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam_drives import Lie
 from benchmarks.slam_scores import errors
+from tests.helpers.made_drives import Lie
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from tests.slam.test_slam_hostile import office
 from turtlebag.datasets.se2 import SE2, wrap

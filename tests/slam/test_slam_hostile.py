@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks.known import Known
-from benchmarks.slam_cases import narrow
-from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, make_log, sick
-from benchmarks.slam_logs import hall, office_plan
-from benchmarks.slam_logs import office as made_office
+from benchmarks.slam_logs import narrow
 from benchmarks.slam_scores import errors
+from tests.helpers.made_drives import Drive, Lie, Sensor, Wheels, make_log, sick
+from tests.helpers.made_logs import hall, office_plan
+from tests.helpers.made_logs import office as made_office
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.factors import Constraint

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.slam_drives import Drive, Sensor, make_log
-from benchmarks.slam_plans import FloorPlan
+from tests.helpers.made_drives import Drive, FloorPlan, Sensor, make_log
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.slam_growth import floor, there_and_back
+from benchmarks.slam_growth import there_and_back
 from tests.helpers.carmen_lines import carmen_text
 from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
 from turtlebag.datasets.carmen import parse_carmen
@@ -148,9 +148,3 @@ def test_a_log_driven_there_and_back_goes_on_from_each_scan_to_its_neighbour():
     np.testing.assert_allclose(longer.T_odom_base.xyt, SE2.from_array(POSES[order]).xyt, atol=1e-6)
     np.testing.assert_allclose(longer.ranges, log.ranges[order], atol=0.006)
     np.testing.assert_array_equal(np.diff(longer.stamps_ns), 200_000_000)
-
-
-def test_a_floor_of_more_blocks_is_larger_and_driven_farther():
-    one, two = floor(1), floor(2)
-    assert two.truth.length() > 2.5 * one.truth.length()
-    assert np.ptp(two.truth.poses.xy, axis=0).min() > 1.8 * np.ptp(one.truth.poses.xy, axis=0).max()

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam_drives import Sensor, Wheels, make_log, sick
-from benchmarks.slam_logs import office_plan, office_route
 from tests.helpers.localisation_room import box
+from tests.helpers.made_drives import Sensor, Wheels, make_log, sick
+from tests.helpers.made_logs import office_plan, office_route
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, ranges_to, recording
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED

@@ -7,10 +7,9 @@ import pytest
 
 from benchmarks.disturb import KINDS
 from benchmarks.known import Known
-from benchmarks.slam_drives import Drive, make_log
-from benchmarks.slam_logs import arena, burger_lidar
-from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_scores import errors
+from tests.helpers.made_drives import Drive, FloorPlan, make_log
+from tests.helpers.made_logs import arena, burger_lidar
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.slam import mounting

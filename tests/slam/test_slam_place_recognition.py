@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.known import Known
-from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
-from benchmarks.slam_logs import WHEELS, office_plan
-from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_scores import errors
+from tests.helpers.made_drives import Drive, FloorPlan, Sensor, Wheels, make_log, sick
+from tests.helpers.made_logs import WHEELS, office_plan
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording

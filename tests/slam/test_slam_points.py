@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam_logs import arena, posts
 from benchmarks.slam_scores import errors
+from tests.helpers.made_logs import arena, posts
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.calibration import Calibration

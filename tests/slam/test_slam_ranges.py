@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.slam_logs import rooms
+from tests.helpers.made_logs import rooms
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration, calibrate_ranges
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
-from benchmarks.slam_logs import arena, office_plan
+from tests.helpers.made_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
+from tests.helpers.made_logs import arena, office_plan
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2

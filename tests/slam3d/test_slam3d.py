@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam3d_drives import Drive3d, changed, make_drive, without_wheels
+from tests.helpers.drives3d import Drive3d, changed, make_drive, without_wheels
 from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED

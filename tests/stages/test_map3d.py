@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.slam3d_drives import changed, make_drive, without_wheels
+from tests.helpers.drives3d import changed, make_drive, without_wheels
 from tests.helpers.foreign_bags import CLOUD, FIELD, SCAN, TYPES, header, laser_scan, write_foreign
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map

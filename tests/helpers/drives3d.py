@@ -17,7 +17,7 @@ from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.teleop_scripts import Script, Step, commands
 from turtlebag.sim.worlds import load_world
 
-WORLDS = Path(__file__).with_name("worlds")
+WORLDS = Path(__file__).parents[2] / "benchmarks/worlds"
 VEERING = SimConfig(sensors="clean", faults=FaultConfig(slip=((0.0, 9999.0, 0.01, 0.018),)))
 """One wheel turns in vain a little more than the other, all the way: odometry is off by metres in the end."""
 

@@ -1,18 +1,25 @@
-"""The frame of the benchmarks: command lines, cases, their rows (one JSON line each, kept), and tables."""
+"""The frame of the benchmarks: suites of cases, their rows (one JSON line each, kept), and their tables."""
 
 from __future__ import annotations
 
 import argparse
 import ast
 import csv
+import fnmatch
 import json
 import math
+import multiprocessing
 import os
-from collections.abc import Callable, Collection, Iterable
+import sys
+import tempfile
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
+from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from turtlebag.datasets.fingerprints import fingerprint
@@ -20,6 +27,8 @@ from turtlebag.reports.metrics.statistics import share_interval
 
 Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]
+SPAWN = multiprocessing.get_context("spawn")
+LIMIT_MINUTES = 30.0
 
 
 def options(
@@ -67,6 +76,25 @@ class Case:
     name: str
     measure: Callable[[], Row]
     about: Row = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Cases with one table, of which the first `quick` are a sample.
+
+    `summary` makes a second table of all rows, and `complete` adds to each row what only all of them tell.
+    Rows that are `kept` stand while the `code` in some folders and files of the project is the same.
+    """
+
+    cases: Sequence[Case]
+    columns: tuple[str, ...] = ()
+    summary: Callable[[list[Row]], list[Row]] | None = None
+    complete: Callable[[list[Row]], list[Row]] = list
+    quick: int = 0
+    code: tuple[str, ...] = ()
+    kept: bool = True
+    usual: bool = True
+    """Whether it is meant when no suite is named."""
 
 
 def code_of(places: tuple[str, ...]) -> str:
@@ -136,6 +164,83 @@ class Rows:
         return [self._found[case.name] for case in cases if case.name in self._found]
 
 
+class Worker:
+    """A process that measures one case after the other; where a case has ended it, the next has a new one."""
+
+    def __init__(self) -> None:
+        self._process: Any = None
+
+    def measure(self, case: Case, limit_s: float) -> Row:
+        """The row of a case, or one that says why there is none: it may take so long [s]."""
+        if self._process is None:
+            self._pipe, theirs = SPAWN.Pipe()
+            self._process = SPAWN.Process(target=serve, args=(theirs,))
+            self._process.start()
+            theirs.close()
+        try:
+            self._pipe.send(case)
+            if self._pipe.poll(limit_s):
+                return dict(self._pipe.recv())
+            why = f"took more than {limit_s:.0f} s"
+        except (EOFError, ConnectionError):
+            why = "its process died"
+        self.kill()
+        self._process.join()
+        self._process = None
+        return failed(case, why)
+
+    def kill(self) -> None:
+        """End the process, whatever it is doing."""
+        if self._process is not None:
+            self._process.kill()
+
+
+def serve(pipe: Connection) -> None:
+    """Measure what comes until the other end is gone."""
+    try:
+        while True:
+            pipe.send(measured(pipe.recv()))
+    except (EOFError, BrokenPipeError, KeyboardInterrupt):
+        return
+
+
+def measured(case: Case) -> Row:
+    """The row of a case; one that raises has a row that says so."""
+    try:
+        return {**case.about, **case.measure()}
+    except Exception as error:
+        return failed(case, f"{type(error).__name__}: {error}")
+
+
+def failed(case: Case, why: str) -> Row:
+    """The row of a case without a result."""
+    return {**case.about, "error": why}
+
+
+def in_processes(cases: Sequence[Case], count: int, limit_s: float) -> Iterator[tuple[Case, Row]]:
+    """Cases and their rows as they come, from `count` processes; none takes longer than `limit_s` [s]."""
+    workers = [Worker() for _ in range(count)]
+    idle: SimpleQueue[Worker] = SimpleQueue()
+    for worker in workers:
+        idle.put(worker)
+
+    def measure(case: Case) -> tuple[Case, Row]:
+        worker = idle.get()
+        try:
+            return case, worker.measure(case, limit_s)
+        finally:
+            idle.put(worker)
+
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            for done in as_completed([pool.submit(measure, case) for case in cases]):
+                yield done.result()
+        finally:  # also when nobody wants the rest any more
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.kill()
+
+
 def interval(successes: int, n: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a share; all of 0..1 when there is nothing."""
     found = share_interval(successes, n)
@@ -173,15 +278,6 @@ def markdown(rows: list[Row], columns: Iterable[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def as_they_come(rows: Iterable[Row]) -> list[Row]:
-    """The rows, each of them printed as soon as it is there."""
-    found = []
-    for row in rows:
-        print("  ", row, flush=True)
-        found.append(row)
-    return found
-
-
 def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *, show: bool = True) -> None:
     """A CSV file with all of the rows and, with `show`, `columns` of it as a markdown table, printed too."""
     if not rows:
@@ -197,3 +293,53 @@ def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *,
     text = markdown(rows, columns)
     (out / f"{name}.md").write_text(text)
     print(f"\n{name}\n\n{text}", flush=True)
+
+
+def run(
+    parser: argparse.ArgumentParser,
+    suites: Callable[[argparse.Namespace], dict[str, Suite]],
+    argv: Sequence[str] | None = None,
+    *,
+    workers: int = 1,
+) -> dict[str, list[Row]]:
+    """Measure the suites that the command line names, print and write their tables; the rows of each."""
+    parser.add_argument("suites", nargs="*", metavar="SUITE", help="these suites (default: all)")
+    parser.add_argument("--limit", type=int, metavar="N", help="the first N cases of each suite")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel-*'")
+    parser.add_argument("--workers", type=int, default=workers, metavar="N", help="processes")
+    late = "a case that takes longer is an error"
+    parser.add_argument("--minutes", type=float, default=LIMIT_MINUTES, metavar="M", help=late)
+    parser.add_argument("--keep", action="store_true", help="rows of other code count, too")
+    args = parser.parse_args(argv)
+    if args.workers < 1 or (args.limit is not None and args.limit < 1) or args.minutes <= 0.0:
+        parser.error("--workers, --limit and --minutes must be positive")
+    known = suites(args)
+    quick = getattr(args, "quick", False)
+    names = args.suites or [name for name, s in known.items() if s.usual and (s.quick or not quick)]
+    if wrong := [name for name in names if name not in known]:
+        parser.error(f"no suite {wrong[0]!r}: there are {', '.join(known)}")
+    found = {}
+    with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
+        os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
+        for name in names:
+            suite = known[name]
+            cases = [case for case in suite.cases if fnmatch.fnmatch(case.name, args.only)]
+            cases = cases[: suite.quick if quick and args.limit is None else args.limit]
+            rows = Rows(args.out / "rows" / f"{name}.jsonl", code_of(suite.code), keep=args.keep)
+            waiting = [case for case in cases if not suite.kept or rows.get(case.name) is None]
+            print(f"{name}: {len(cases)} cases, {len(waiting)} to measure", flush=True)
+            try:
+                for case, row in in_processes(waiting, args.workers, 60.0 * args.minutes):
+                    told = {key: value for key, value in row.items() if key not in case.about}
+                    print(
+                        f"  {case.name}: {', '.join(f'{k} {shown(v)}' for k, v in told.items())}", flush=True
+                    )
+                    rows.add(case.name, row)
+            except KeyboardInterrupt:
+                print("stopped; the same command goes on from here", file=sys.stderr)
+                raise SystemExit(130) from None
+            found[name] = rows.of(cases)
+            write(args.out, name, suite.complete(found[name]), suite.columns)
+            if suite.summary and found[name]:
+                write(args.out, f"{name}-summary", suite.summary(found[name]))
+    return found
