@@ -1,146 +1,285 @@
 """Navigation by numbers: every scenario with its success rate, its 95 % intervals and a row per episode.
 
-python -m benchmarks.navigate [--quick] [--only NAME ...] [--sensors SET] [--episodes N] [--from SEED]
-                              [--out DIR]
-python -m benchmarks.navigate --replay NAME SEED --out DIR
+python -m benchmarks.navigate [SCENARIO ...] [--quick] [--sensors SET] [--limit N] [--from SEED] [--out DIR]
+python -m benchmarks.navigate SCENARIO --replay SEED --out DIR
 
 Collisions are Bullet's contacts, errors are against the truth. Every map is made by our own SLAM from a
 recorded tour, but for the controllers side by side, which drive on the true ones. Sensors are the simulator's
 `realistic` ones, on the tour and in the episodes; `--sensors clean` runs the same episodes with its clean
-ones, as scenarios "patrol, clean" and so on. Rows are written as they come: started again with the same
---out, a campaign goes on where it was (delete navigate.jsonl to start anew). `--from` runs other seeds;
-`--replay` drives one episode again and keeps its whole run: bag, run log, metrics. BARN worlds: the folder
-`barn` in TURTLEBAG_DATA.
+ones, as scenarios "patrol, clean" and so on. Started again with the same --out, a campaign goes on where it
+was (delete its folder `rows` to start anew). `--from` runs other seeds; `--replay` drives one episode again
+and keeps its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
-from collections.abc import Callable
+from argparse import Namespace
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-from benchmarks import navigate_cases as cases
-from benchmarks import navigate_faults as faults
+import numpy as np
+from scipy.stats import binomtest
+
+from benchmarks import navigate_cases as trials
 from benchmarks.drives import PLACES, Maps
-from benchmarks.navigate_cases import Case, Scenario
-from benchmarks.navigate_rows import failures, refused_row, row_of, summary
-from benchmarks.runner import Row, Rows, options, write
+from benchmarks.navigate_cases import Trial
+from benchmarks.runner import Case, Row, Rows, Suite, interval, options, parsed, rows_file, run, write
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.pipeline.navigation.episode import Episode, drive
 from turtlebag.pipeline.navigation.setup import prepare
 from turtlebag.pipeline.stages.navigate import navigate
+from turtlebag.reports.metrics.navigation import collision_episodes
 from turtlebag.sim.simulator import Sensors, Simulator
 
 SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 AVOID_S, QUICK_AVOID_S = 600.0, 120.0
 EXPLORE_S = 1800.0
+MOVING_M, MOVING_RAD = 0.002, 0.01
+"""Wheels that turned the robot more than this in the tick before a contact make it the robot's own."""
 
 
-def with_sensors(scenario: Scenario, sensors: Sensors) -> Scenario:
-    """The same episodes with these sensors."""
-    name = scenario.name if sensors == "realistic" else f"{scenario.name}, {sensors}"
+@dataclasses.dataclass(frozen=True)
+class Scenario:
+    """A family of episodes: `make` builds the one of a seed, `count` and `short` are how many are run."""
 
-    def make(seed: int) -> Case:
-        return dataclasses.replace(scenario.make(seed).simulated(sensors=sensors), name=name)
+    name: str
+    count: int
+    short: int
+    make: Callable[[str, int], Trial]
+    sensors: Sensors = "realistic"
 
-    return dataclasses.replace(scenario, name=name, make=make)
+    @property
+    def full_name(self) -> str:
+        """The name, with the sensors where they are not the usual ones."""
+        return self.name if self.sensors == "realistic" else f"{self.name}, {self.sensors}"
+
+    def trial(self, seed: int) -> Trial:
+        """The episode of a seed; other sensors change nothing else of it."""
+        made = self.make(self.name, seed).simulated(sensors=self.sensors)
+        return dataclasses.replace(made, name=self.full_name)
 
 
-def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
-    """All scenarios, with the default sensors."""
+def scenarios(maps: Maps, quick: bool, sensors: Sensors = "realistic") -> list[Scenario]:
+    """All scenarios."""
 
-    def of(name: str, count: int, short: int, make: Callable[..., Case], *about: Any) -> Scenario:
-        return Scenario(name, count, short, partial(make, *about, name))
+    def of(name: str, count: int, short: int, make: Callable[..., Trial], *about: Any) -> Scenario:
+        return Scenario(name, count, short, partial(make, *about), sensors)
 
     avoid_s, explore_s = (QUICK_AVOID_S, QUICK_AVOID_S) if quick else (AVOID_S, EXPLORE_S)
     found = [
-        of("patrol", 100, 3, cases.patrol, maps),
-        of("house waffle_pi", 200, 3, cases.random_goal, maps, cases.HOUSE, "waffle_pi"),
-        of("house burger", 200, 3, cases.random_goal, maps, cases.HOUSE, "burger"),
-        of("new worlds", 100, 3, cases.new_world_goal, maps),
-        of("boxes and movers", 200, 3, cases.obstacles, maps, True),
-        of("boxes and blind movers", 200, 3, cases.obstacles, maps, False),
-        of("avoid guarded", 50, 2, cases.avoid, "guarded", avoid_s),
-        of("avoid tutorial", 50, 2, cases.avoid, "tutorial", avoid_s),
-        of("explore", 24, 1, cases.explore, explore_s),
+        of("patrol", 100, 3, trials.patrol, maps),
+        of("house waffle_pi", 200, 3, trials.random_goal, maps, trials.HOUSE, "waffle_pi"),
+        of("house burger", 200, 3, trials.random_goal, maps, trials.HOUSE, "burger"),
+        of("new worlds", 100, 3, trials.new_world_goal, maps),
+        of("boxes and movers", 200, 3, trials.obstacles, maps, True),
+        of("boxes and blind movers", 200, 3, trials.obstacles, maps, False),
+        of("avoid guarded", 50, 2, trials.avoid, "guarded", avoid_s),
+        of("avoid tutorial", 50, 2, trials.avoid, "tutorial", avoid_s),
+        of("explore", 24, 1, trials.explore, explore_s),
     ]
     for place in PLACES:
         found += [
-            of(f"pose off, {place}", 50, 2, faults.offset, maps, place),
-            of(f"kidnap, {place}", 100, 2, faults.kidnap, maps, place),
-            of(f"wheel slip, {place}", 50, 2, faults.slip, maps, place),
-            of(f"lidar dropout, {place}", 50, 2, faults.dropout, maps, place),
+            of(f"pose off, {place}", 50, 2, trials.offset, maps, place),
+            of(f"kidnap, {place}", 100, 2, trials.kidnap, maps, place),
+            of(f"wheel slip, {place}", 50, 2, trials.slip, maps, place),
+            of(f"lidar dropout, {place}", 50, 2, trials.dropout, maps, place),
         ]
         found += [
-            of(f"{controller}, {place}", 32, 1, cases.controlled, maps, place, controller)
-            for controller in cases.CONTROLLERS
+            of(f"{controller}, {place}", 32, 1, trials.controlled, maps, place, controller)
+            for controller in trials.CONTROLLERS
         ]
-    found.append(of("closed ring, arena", 50, 2, faults.closed_ring, maps))
-    found.append(of("closed door, house", 50, 2, faults.closed_door, maps))
-    if worlds := cases.barn_worlds():
-        found.append(of("BARN", 3 * len(worlds), len(worlds), cases.barn, worlds))
+    found.append(of("closed ring, arena", 50, 2, trials.closed_ring, maps))
+    found.append(of("closed door, house", 50, 2, trials.closed_door, maps))
+    if worlds := trials.barn_worlds():
+        found.append(of("BARN", 3 * len(worlds), len(worlds), trials.barn, worlds))
     return found
 
 
-def run(case: Case) -> Row:
+def episode_row(scenario: Scenario, seed: int) -> Row:
     """Drive one episode; its row."""
-    started = time.process_time()
+    trial, started = scenario.trial(seed), time.process_time()
     try:
-        mission = prepare(case.request, case.robot, case.config, case.world.keepout)
+        mission = prepare(trial.request, trial.robot, trial.config, trial.world.keepout)
     except InputError as error:
-        return refused_row(case, str(error))
-    with Simulator(case.world, case.robot, case.config.sim, case.request.seed) as simulator:
+        return refused_row(trial, str(error))
+    with Simulator(trial.world, trial.robot, trial.config.sim, trial.request.seed) as simulator:
         episode = drive(simulator, mission)
-    return row_of(case, episode, time.process_time() - started)
+    return row_of(trial, episode, time.process_time() - started)
 
 
-def replay(scenario: Scenario, seed: int, out: Path) -> int:
+def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
+    """The row of an episode. Success: every goal ended as wanted, and nothing was touched at own speed.
+
+    Reached means truly there: a robot that believes so in the wrong place has failed. `own_speed` counts
+    the contacts that began while the robot's own wheels moved it: a person who walks into a robot that
+    stands still is not its collision.
+    """
+    m = episode.metrics
+    reached = [g for g in m["goals"] if g["status"] == "reached"]
+    others = [g for g in m["goals"] if g["status"] != case.wanted or not _truly_there(g, case)]
+    own = own_contacts(episode.log)
+    standing_still = case.world.movers and not own
+    # Without a map nobody can know of what is too low for the lidar: counted, but apart.
+    unknown = case.request.task in ("avoid", "explore")
+    counted = m["collisions"]["visible"] + (0 if unknown else m["collisions"]["low"])
+    touched = counted > 0 and not standing_still
+    area = m.get("area", {"share": None, "seen_m2": None})
+    unseen = area["share"] is not None and area["share"] < case.seen
+    return about(case) | {
+        "success": int(not others and not touched and not unseen),
+        "reached": len(reached),
+        "goals": len(m["goals"]),
+        "reasons": "; ".join([*(_why(g) for g in others), *["saw too little of the floor"] * unseen]),
+        "visible": m["collisions"]["visible"],
+        "low": m["collisions"]["low"],
+        "own_speed": own,
+        "worst_error_m": max((g["error_m"] for g in reached), default=None),
+        "worst_error_rad": max((g["error_rad"] for g in reached), default=None),
+        "min_clearance_m": m["min_clearance_m"],
+        "localisation_rmse_m": (m["localisation_error_m"] or {}).get("rmse"),
+        "distance_m": m["distance_m"],
+        "seen_m2": area["seen_m2"],
+        "seen_share": area["share"],
+        "time_s": m["time_s"],
+        "score": None if case.score is None else case.score(m),
+        "x_real_time": round(m["time_s"] / max(cpu_s, 1e-9), 1),
+    }
+
+
+def about(case: Trial) -> Row:
+    """Which episode it is, and how to see it again."""
+    name, seed = case.name, case.request.seed
+    replay = f'python -m benchmarks.navigate "{name}" --replay {seed}'
+    world, robot = case.world.name, case.robot.name
+    return {"scenario": name, "seed": seed, "world": world, "robot": robot, "replay": replay}
+
+
+def refused_row(case: Trial, why: str) -> Row:
+    """The row of an episode that was refused at the door: a failure as any other."""
+    nothing = dict.fromkeys(("success", "reached", "visible", "low", "own_speed", "distance_m"), 0)
+    return about(case) | nothing | {"goals": 1, "reasons": f"refused {why}"}
+
+
+def _truly_there(goal: dict[str, Any], case: Trial) -> bool:
+    """Whether a goal that counts as reached is so by the truth."""
+    if goal["status"] != "reached":
+        return True
+    return bool(goal["error_m"] <= case.within[0] and goal["error_rad"] <= case.within[1])
+
+
+def own_contacts(log: RunLog) -> int:
+    """Contact episodes that began while the wheels moved the robot."""
+    episodes = collision_episodes(log.t_ns, log.contact_visible | log.contact_low)
+    count = 0
+    for first, _ in episodes:
+        k = int(np.searchsorted(log.t_ns, first))
+        before = log.T_odom_base[max(k - 1, 0)].inverse() @ log.T_odom_base[k]
+        x, y, yaw = before.xyt.tolist()
+        count += math.hypot(x, y) > MOVING_M or abs(yaw) > MOVING_RAD
+    return count
+
+
+def _why(goal: dict[str, Any]) -> str:
+    if goal["status"] == "reached":
+        return f"reached, but truly {goal['error_m']:.2f} m and {goal['error_rad']:.2f} rad off"
+    return f"{goal['status']} {goal.get('reason', '')}".strip()
+
+
+def summary(name: str, rows: Sequence[Row]) -> Row:
+    """One line of the table."""
+    n, ok = len(rows), sum(row["success"] for row in rows)
+    wilson, exact = interval(ok, n), binomtest(ok, n).proportion_ci(method="exact")
+
+    def of(key: str) -> list[float]:
+        return [row[key] for row in rows if row.get(key) is not None] or [math.nan]
+
+    return {
+        "scenario": name,
+        "seeds": spans([row["seed"] for row in rows]),
+        "success": f"{ok}/{n}",
+        "rate": f"{ok / n:.3f}",
+        "Wilson 95 %": f"{wilson[0]:.3f}..{wilson[1]:.3f}",
+        "Clopper-Pearson 95 %": f"{exact.low:.3f}..{exact.high:.3f}",
+        "visible contacts": sum(of("visible")),
+        "low contacts": sum(of("low")),
+        "at own speed": sum(of("own_speed")),
+        "worst error m": max(of("worst_error_m")),
+        "worst yaw error rad": max(of("worst_error_rad")),
+        "least clearance m": min(of("min_clearance_m")),
+        "driven m": f"{sum(of('distance_m')):.0f}",
+        "mean s": f"{np.mean(of('time_s')):.1f}",
+        "seen share": float(np.mean(of("seen_share"))),
+        "score": float(np.mean(of("score"))),
+        "x real time": f"{np.median(of('x_real_time')):.0f}",
+    }
+
+
+def spans(numbers: Sequence[int]) -> str:
+    """Whole numbers as runs: `0..9, 20..29`."""
+    ordered = np.unique(numbers)
+    runs = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
+    return ", ".join(f"{run[0]}..{run[-1]}" for run in runs)
+
+
+def failures(rows: Sequence[Row]) -> list[str]:
+    """A line for each episode that failed, with the command that shows it again."""
+    return [
+        f"- {row['scenario']}, seed {row['seed']} ({row['world']}, {row['robot']}): "
+        f"{row['reasons'] or 'touched something'}; contacts {row['visible']} visible {row['low']} low, "
+        f"{row['own_speed']} at own speed: `{row['replay']} --out DIR`"
+        for row in rows
+        if not row["success"]
+    ]
+
+
+def known(args: Namespace) -> dict[str, Scenario]:
+    """Every scenario by its full name."""
+    sets = [scenarios(Maps(args.maps, sensors), args.quick, sensors) for sensors in SENSORS]
+    return {scenario.full_name: scenario for one in sets for scenario in one}
+
+
+def suites(args: Namespace) -> dict[str, Suite]:
+    """A suite a scenario, a case an episode."""
+    found = {}
+    for name, scenario in known(args).items():
+        count = args.limit or (scenario.short if args.quick else scenario.count)
+        seeds = range(args.first, args.first + count)
+        cases = [Case(f"{name} {seed}", partial(episode_row, scenario, seed)) for seed in seeds]
+        usual = scenario.sensors == args.sensors
+        found[name] = Suite(cases, quick=count, usual=usual, show=False)
+    return found
+
+
+def replay(args: Namespace, scenario: Scenario) -> int:
     """One episode again, with everything that a run leaves."""
-    case = scenario.make(seed)
-    return navigate(case.world, case.robot, case.request, Output(out, force=True), config=case.config)
-
-
-def campaign(chosen: list[Scenario], rows: Rows, first: int, episodes: int | None, quick: bool) -> None:
-    """Run what has no row yet."""
-    for scenario in chosen:
-        count = episodes or (scenario.short if quick else scenario.count)
-        for seed in range(first, first + count):
-            if rows.get(f"{scenario.name} {seed}") is None:
-                row = rows.add(f"{scenario.name} {seed}", run(scenario.make(seed)))
-                print(f"  {row['case']}: {'success' if row['success'] else row['reasons']}", flush=True)
+    trial = scenario.trial(args.replay)
+    return navigate(
+        trial.world, trial.robot, trial.request, Output(args.out, force=True), config=trial.config
+    )
 
 
 def main() -> None:
-    parser = options(__doc__, quick="a few short episodes of each")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="these scenarios")
-    parser.add_argument("--sensors", choices=SENSORS, default="realistic", help="without --only: which set")
-    parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each scenario")
+    """Drive what has no row yet, and print the table of all rows that there are."""
+    parser = options(__doc__, "data/benchmarks/navigate", quick="a few short episodes of each")
+    parser.add_argument("--sensors", choices=SENSORS, default="realistic", help="which set, if none is named")
     parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED", help="first seed")
-    parser.add_argument("--replay", nargs=2, metavar=("NAME", "SEED"))
-    parser.add_argument(
-        "--maps", type=Path, default=Path("data/benchmarks/maps"), help="folder that keeps the maps"
-    )
-    args = parser.parse_args()
-    sets = {
-        sensors: [with_sensors(s, sensors) for s in scenarios(Maps(args.maps, sensors), args.quick)]
-        for sensors in SENSORS
-    }
-    known = [scenario for one in sets.values() for scenario in one]
-    names = args.replay[:1] if args.replay else args.only or [s.name for s in sets[args.sensors]]
-    if unknown := set(names) - {scenario.name for scenario in known}:
-        parser.error(f"no scenario {sorted(unknown)[0]!r}: there are {', '.join(s.name for s in known)}")
-    chosen = [scenario for scenario in known if scenario.name in names]
-    if args.replay:
-        raise SystemExit(replay(chosen[0], int(args.replay[1]), args.out))
-    rows = Rows(args.out / "navigate.jsonl")
-    campaign(chosen, rows, args.first, args.episodes, args.quick)
-    found = {s.name: [row for row in rows.all if row["scenario"] == s.name] for s in known}
-    write(args.out, "navigate", [summary(name, part) for name, part in found.items() if part])
-    print("\n".join(failures(rows.all)))
+    parser.add_argument("--replay", type=int, metavar="SEED", help="one episode again, with all it leaves")
+    kept = Path("data/benchmarks/maps")
+    parser.add_argument("--maps", type=Path, default=kept, metavar="DIR", help="folder that keeps the maps")
+    args = parsed(parser, suites)
+    if args.replay is not None:
+        raise SystemExit(replay(args, known(args)[args.suites[0]]))
+    run(args, suites)
+    rows = {name: Rows(rows_file(args.out, name)).all for name in known(args)}
+    write(args.out, "navigate", [summary(name, part) for name, part in rows.items() if part])
+    print("\n".join(failures([row for part in rows.values() for row in part])))
 
 
 if __name__ == "__main__":

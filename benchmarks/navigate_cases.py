@@ -1,4 +1,4 @@
-"""Episodes of the navigation benchmark: each is a world, a robot, a request, all made from one seed."""
+"""Episodes of the navigation benchmark: each is a world, a robot and a request, all made from one seed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.tasks.avoid import AvoidConfig
+from turtlebag.planners.tasks.waypoints import tutorial_patrol
+from turtlebag.sim.faults import FaultConfig
 from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.shapes import Solid, box
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world
 
@@ -35,6 +38,13 @@ NEW_WORLDS_FROM = 7000
 """Generated worlds of the benchmark have numbers from here on: nothing else uses those."""
 APART_M = 1.5
 """Nobody walks nearer than this to a robot that has just been put down."""
+OFF_M, OFF_RAD = 0.5, math.radians(30.0)
+FAR_M = 4.0
+"""Goals of episodes with a fault are this far from the start: there is time for it."""
+CARRIED_M = 1.5
+DOORS = ((2.3, 0.4, 1), (2.3, 4.63, 1), (-6.3092, 0.925, 0), (6.2195, -0.175, 0))
+"""Doors of the house: middle [m], and 1 for one in a wall along y. None has a way round."""
+DOOR_M, THICK_M = 0.9, 0.15
 CONTROLLERS = {
     "pursuit": NavigateConfig(),
     "dwa": NavigateConfig(controller="dwa"),
@@ -47,7 +57,7 @@ CONTROLLERS = {
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Case:
+class Trial:
     """One episode. `score` turns its metrics into a number where the scenario has one; `wanted` is the
     status that the goals should end with; `within` says how near [m, rad] one that counts as reached must
     truly be; `seen` is the share of the floor that must have been looked at in the end.
@@ -68,24 +78,14 @@ class Case:
         """Where the robot is put down."""
         return self.world.spawn if self.request.start is None else self.request.start
 
-    def asked(self, **changes: Any) -> Case:
+    def asked(self, **changes: Any) -> Trial:
         """The case with another request."""
         return dataclasses.replace(self, request=dataclasses.replace(self.request, **changes))
 
-    def simulated(self, **changes: Any) -> Case:
+    def simulated(self, **changes: Any) -> Trial:
         """The case with other settings of the simulator, which the driver is not told of."""
         sim = self.config.sim.model_copy(update=changes)
         return dataclasses.replace(self, config=self.config.model_copy(update={"sim": sim}))
-
-
-@dataclasses.dataclass(frozen=True)
-class Scenario:
-    """A family of cases: `make` builds the one of a seed, `count` and `short` are how many are run."""
-
-    name: str
-    count: int
-    short: int
-    make: Callable[[int], Case]
 
 
 def regions_of(costmap: Costmap, radius: float) -> np.ndarray:
@@ -118,17 +118,17 @@ def pose_on(grid: OccupancyGrid, cells: np.ndarray, rng: np.random.Generator) ->
 
 def goal_case(
     name: str, seed: int, world: World, robot: RobotSpec, path: Path, start: SE2, goal: SE2, **more: Any
-) -> Case:
+) -> Trial:
     """From a start that the robot is told to a goal on a map, with five minutes for it."""
     request = Request("goal", seed, path, initial_pose="start", start=start, goal=goal, timeout_s=300.0)
-    return Case(name, world, robot, request, **more)
+    return Trial(name, world, robot, request, **more)
 
 
-def patrol(maps: Maps, name: str, seed: int) -> Case:
+def patrol(maps: Maps, name: str, seed: int) -> Trial:
     """The tutorial's patrol on a map made by SLAM."""
     world, robot = load_world(ARENA), load_robot("burger")
     path = maps.slam(ARENA, "burger")
-    return Case(name, world, robot, Request("patrol", seed, path, initial_pose="start"))
+    return Trial(name, world, robot, Request("patrol", seed, path, initial_pose="start"))
 
 
 def house_robot(seed: int) -> str:
@@ -136,14 +136,14 @@ def house_robot(seed: int) -> str:
     return ("waffle_pi", "burger")[seed % 2]
 
 
-def new_world_goal(maps: Maps, name: str, seed: int) -> Case:
+def new_world_goal(maps: Maps, name: str, seed: int) -> Trial:
     """A random reachable start and goal in an office or a maze that is used for a few goals only."""
     number = seed // GOALS_PER_WORLD
     world = f"{('office', 'maze')[number % 2]}:{NEW_WORLDS_FROM + number}"
     return random_goal(maps, world, ("burger", "waffle_pi")[number // 2 % 2], name, seed)
 
 
-def random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Case:
+def random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Trial:
     """A random reachable start and goal on the map of a world."""
     loaded, spec, grid, cells = named_floor(world, robot)
     rng, path = stream(seed, name), maps.slam(world, robot)
@@ -151,26 +151,26 @@ def random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Cas
     return goal_case(name, seed, loaded, spec, path, start, goal)
 
 
-def avoid(mode: str, duration: float, name: str, seed: int) -> Case:
+def avoid(mode: str, duration: float, name: str, seed: int) -> Trial:
     """Avoidance in the house from a random start."""
     world, robot, grid, cells = named_floor(HOUSE, "waffle_pi")
     config = NavigateConfig(avoid=AvoidConfig(mode="tutorial" if mode == "tutorial" else "guarded"))
     start = pose_on(grid, cells, stream(seed, "avoid"))
     request = Request(task="avoid", seed=seed, start=start, duration_s=duration)
-    return Case(name, world, robot, request, config)
+    return Trial(name, world, robot, request, config)
 
 
-def explore(duration: float, name: str, seed: int) -> Case:
+def explore(duration: float, name: str, seed: int) -> Trial:
     """A world that nothing is known of, mapped without a script, in `duration` [s] at most."""
     number = NEW_WORLDS_FROM + 500 + seed
     worlds = (ARENA, f"office:{number}", f"maze:{number}", HOUSE)
     world, robot, grid, cells = named_floor(worlds[seed % 4], ("burger", "waffle_pi")[seed // 4 % 2])
     start = pose_on(grid, cells, stream(seed, name))
     request = Request(task="explore", seed=seed, start=start, duration_s=duration)
-    return Case(name, world, robot, request, seen=0.95)
+    return Trial(name, world, robot, request, seen=0.95)
 
 
-def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
+def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Trial:
     """House goals among five boxes and three people of the simulator's clutter; waffle_pi and burger in turn.
 
     Movers that do not yield walk on whoever stands in their way.
@@ -186,7 +186,7 @@ def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
     return goal_case(name, seed, world, robot, maps.slam(HOUSE, robot.name), start, goal)
 
 
-def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) -> Case:
+def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) -> Trial:
     """A random goal on the true map, the same for every controller."""
     world, robot, grid, cells = named_floor(*PLACES[place])
     rng = stream(seed, f"controllers {place}")
@@ -202,7 +202,7 @@ def barn_worlds() -> list[Path]:
     return sorted(found, key=lambda p: int(p.stem.split("_")[1]))
 
 
-def barn(worlds: list[Path], name: str, seed: int) -> Case:
+def barn(worlds: list[Path], name: str, seed: int) -> Trial:
     """Seed s is run s // n of the n worlds, mapless."""
     path = worlds[seed % len(worlds)]
     # The robot stops by its drifting odometry, the challenge judges by the truth: leave room between.
@@ -217,7 +217,7 @@ def barn(worlds: list[Path], name: str, seed: int) -> Case:
     request = Request(task="goal", seed=seed, start=start, goal=goal, timeout_s=100.0)
     world = dataclasses.replace(load_world(str(path)), name=path.stem)
     score = _barn_score(best)
-    return Case(name, world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
+    return Trial(name, world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
 
 
 def _barn_score(best: float) -> Callable[[dict], float]:
@@ -228,3 +228,95 @@ def _barn_score(best: float) -> Callable[[dict], float]:
         return float(arrived) * best / min(max(taken, 2.0 * best), 8.0 * best)
 
     return score
+
+
+# Something goes wrong, in the arena (burger, the patrol) or in the house (waffle_pi and burger in turn, a goal).
+
+
+def drive_to(maps: Maps, place: str, name: str, seed: int) -> Trial:
+    """What is done while the fault happens: the patrol in the arena, a far goal in the house."""
+    if place == "arena":
+        return patrol(maps, name, seed)
+    for attempt in range(1000):
+        case = random_goal(maps, HOUSE, house_robot(seed), name, seed + 100_000 * attempt)
+        assert case.request.goal is not None
+        if np.linalg.norm(case.start.xy - case.request.goal.xy) > FAR_M:
+            return case.asked(seed=seed)
+    raise ValueError("no two places so far apart")
+
+
+def offset(maps: Maps, place: str, name: str, seed: int) -> Trial:
+    """The robot is told a pose that is wrong by 0.5 m and 30 degrees."""
+    case = drive_to(maps, place, name, seed)
+    rng = stream(seed, "offset")
+    angle, sign = rng.uniform(-math.pi, math.pi), rng.choice([-1.0, 1.0])
+    wrong = case.start @ SE2.from_xyt(OFF_M * math.cos(angle), OFF_M * math.sin(angle), sign * OFF_RAD)
+    return case.asked(initial_pose=wrong)
+
+
+def kidnap(maps: Maps, place: str, name: str, seed: int) -> Trial:
+    """Carried off once, 1.5 m or more."""
+    case = drive_to(maps, place, name, seed)
+    rng = stream(seed, "kidnap")
+    grid, cells = allowed_floor(case, place)
+    while np.linalg.norm((pose := pose_on(grid, cells, rng)).xy - case.start.xy) <= CARRIED_M:
+        pass
+    when = rng.uniform(20.0, 60.0) if place == "arena" else rng.uniform(6.0, 14.0)
+    return case.simulated(faults=FaultConfig(kidnap=((when, *pose.xyt.tolist()),)))
+
+
+def allowed_floor(case: Trial, place: str) -> tuple[OccupancyGrid, np.ndarray]:
+    """Cells (n, 2) to be put down on: where the robot may be by its own keep-out areas."""
+    if place != "arena":
+        return named_floor(case.world.name, case.robot.name)[2:]
+    grid = case.world.rasterize(case.robot.lidar_height)
+    costmap = costmap_from_grid(grid, CostmapConfig(), tutorial_patrol().keepout)
+    return grid, np.argwhere(costmap.clearance > case.robot.model.circumscribed_radius + 0.05)
+
+
+def slip(maps: Maps, place: str, name: str, seed: int) -> Trial:
+    """Twice for 2 s: both wheels lose 70 % of their turning, later one of them 60 %."""
+    rng = stream(seed, "slip")
+    first, second = rng.uniform(5.0, 10.0), rng.uniform(14.0, 20.0)
+    one = (0.6, 0.0) if rng.random() < 0.5 else (0.0, 0.6)
+    spans = ((first, first + 2.0, 0.7, 0.7), (second, second + 2.0, *one))
+    return drive_to(maps, place, name, seed).simulated(faults=FaultConfig(slip=spans))
+
+
+def dropout(maps: Maps, place: str, name: str, seed: int) -> Trial:
+    """The lidar is silent for 2 s, twice."""
+    rng = stream(seed, "dropout")
+    first, second = rng.uniform(4.0, 10.0), rng.uniform(14.0, 20.0)
+    spans = ((first, first + 2.0), (second, second + 2.0))
+    return drive_to(maps, place, name, seed).simulated(faults=FaultConfig(scan_silent=spans))
+
+
+def closed_ring(maps: Maps, name: str, seed: int) -> Trial:
+    """The arena's ring is shut between two waypoints: the patrol must find the other way round."""
+    rng = stream(seed, "door")
+    # The patrol's minute for a waypoint is not enough for the long way.
+    case = patrol(maps, name, seed).asked(timeout_s=150.0)
+    x, y = (float(rng.choice([-1.0, 1.0])) * part for part in (0.75, 1.8))
+    wall = box("shut_ring", (x, y), (0.1, 1.5), 0.0, (0.0, 0.5))  # from the pillars to the arena's wall
+    return dataclasses.replace(case, world=with_solid(case.world, wall))
+
+
+def closed_door(maps: Maps, name: str, seed: int) -> Trial:
+    """The only door to the goal's part of the house, open on the map, is shut: to say so is right."""
+    rng = stream(seed, "door")
+    world, spec, grid, cells = named_floor(HOUSE, house_robot(seed))
+    x, y, along_y = DOORS[seed // 2 % len(DOORS)]
+    size = (THICK_M, DOOR_M) if along_y else (DOOR_M, THICK_M)
+    shut = with_solid(world, box("shut_door", (x, y), size, 0.0, (0.0, 2.0)))
+    _, outside = floor(shut, spec)
+    inside = np.array(sorted({tuple(c) for c in cells.tolist()} - {tuple(c) for c in outside.tolist()}))
+    # Not in the doorway itself.
+    room = inside[np.hypot(*(grid.center_of(inside) - (x, y)).T) > 1.0]
+    start, goal = pose_on(grid, outside, rng), pose_on(grid, room, rng)
+    path = maps.slam(HOUSE, spec.name)
+    return goal_case(name, seed, shut, spec, path, start, goal, wanted="unreachable")
+
+
+def with_solid(world: World, solid: Solid) -> World:
+    """The world with something in it that its map does not show."""
+    return dataclasses.replace(world, shapes=(*world.shapes, solid))

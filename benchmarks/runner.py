@@ -38,6 +38,8 @@ def options(
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
     if quick:
         parser.add_argument("--quick", action="store_true", help=quick)
+    else:
+        parser.set_defaults(quick=False)
     parser.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help=f"default: {out}")
     for name, default in numbers.items():
         parser.add_argument(f"--{name}", type=int, default=default, metavar="N", help=f"default: {default}")
@@ -95,6 +97,7 @@ class Suite:
     kept: bool = True
     usual: bool = True
     """Whether it is meant when no suite is named."""
+    show: bool = True
 
 
 def code_of(places: tuple[str, ...]) -> str:
@@ -295,14 +298,19 @@ def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *,
     print(f"\n{name}\n\n{text}", flush=True)
 
 
-def run(
+def rows_file(out: Path, suite: str) -> Path:
+    """Where the rows of a suite are kept."""
+    return out / "rows" / f"{suite}.jsonl"
+
+
+def parsed(
     parser: argparse.ArgumentParser,
     suites: Callable[[argparse.Namespace], dict[str, Suite]],
     argv: Sequence[str] | None = None,
     *,
     workers: int = 1,
-) -> dict[str, list[Row]]:
-    """Measure the suites that the command line names, print and write their tables; the rows of each."""
+) -> argparse.Namespace:
+    """The command line of `run`, its suites named."""
     parser.add_argument("suites", nargs="*", metavar="SUITE", help="these suites (default: all)")
     parser.add_argument("--limit", type=int, metavar="N", help="the first N cases of each suite")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel-*'")
@@ -314,32 +322,35 @@ def run(
     if args.workers < 1 or (args.limit is not None and args.limit < 1) or args.minutes <= 0.0:
         parser.error("--workers, --limit and --minutes must be positive")
     known = suites(args)
-    quick = getattr(args, "quick", False)
-    names = args.suites or [name for name, s in known.items() if s.usual and (s.quick or not quick)]
-    if wrong := [name for name in names if name not in known]:
+    if wrong := [name for name in args.suites if name not in known]:
         parser.error(f"no suite {wrong[0]!r}: there are {', '.join(known)}")
-    found = {}
+    args.suites = args.suites or [
+        name for name, s in known.items() if s.usual and (s.quick or not args.quick)
+    ]
+    return args
+
+
+def run(args: argparse.Namespace, suites: Callable[[argparse.Namespace], dict[str, Suite]]) -> None:
+    """Measure the suites of a command line that have no rows yet, print and write their tables."""
+    known = suites(args)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
-        for name in names:
+        for name in args.suites:
             suite = known[name]
             cases = [case for case in suite.cases if fnmatch.fnmatch(case.name, args.only)]
-            cases = cases[: suite.quick if quick and args.limit is None else args.limit]
-            rows = Rows(args.out / "rows" / f"{name}.jsonl", code_of(suite.code), keep=args.keep)
+            cases = cases[: suite.quick if args.quick and args.limit is None else args.limit]
+            rows = Rows(rows_file(args.out, name), code_of(suite.code), keep=args.keep)
             waiting = [case for case in cases if not suite.kept or rows.get(case.name) is None]
             print(f"{name}: {len(cases)} cases, {len(waiting)} to measure", flush=True)
             try:
                 for case, row in in_processes(waiting, args.workers, 60.0 * args.minutes):
-                    told = {key: value for key, value in row.items() if key not in case.about}
-                    print(
-                        f"  {case.name}: {', '.join(f'{k} {shown(v)}' for k, v in told.items())}", flush=True
-                    )
+                    told = ", ".join(f"{key} {shown(row[key])}" for key in row if key not in case.about)
+                    print(f"  {case.name}: {told}", flush=True)
                     rows.add(case.name, row)
             except KeyboardInterrupt:
                 print("stopped; the same command goes on from here", file=sys.stderr)
                 raise SystemExit(130) from None
-            found[name] = rows.of(cases)
-            write(args.out, name, suite.complete(found[name]), suite.columns)
-            if suite.summary and found[name]:
-                write(args.out, f"{name}-summary", suite.summary(found[name]))
-    return found
+            found = rows.of(cases)
+            write(args.out, name, suite.complete(found), suite.columns, show=suite.show)
+            if suite.summary and found:
+                write(args.out, f"{name}-summary", suite.summary(found))

@@ -16,7 +16,7 @@ from functools import cache, lru_cache, partial
 from pathlib import Path
 
 import turtlebag as tb
-from benchmarks.runner import Case, Row, Suite, options, run
+from benchmarks.runner import Case, Row, Suite, options, parsed, run
 from benchmarks.slam_parts import VARIANTS, ablation_table
 from benchmarks.slam_scores import errors
 from tests.helpers.drives3d import Drive3d, changed, make_drive
@@ -92,4 +92,4 @@ def suites(args: Namespace) -> dict[str, Suite]:
 
 
 if __name__ == "__main__":
-    run(options(__doc__, "data/benchmarks/slam3d", "the made room only"), suites)
+    run(parsed(options(__doc__, "data/benchmarks/slam3d", "the made room only"), suites), suites)

@@ -31,7 +31,7 @@ import os
 from argparse import Namespace
 from collections.abc import Sequence
 
-from benchmarks.runner import Suite, options, public, run
+from benchmarks.runner import Suite, options, parsed, public, run
 from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_logs import (
@@ -88,7 +88,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure what is asked for, print and write the tables."""
     parser = options(__doc__, "data/benchmarks/slam", "a sample that takes less than 20 minutes")
-    run(parser, suites, argv, workers=os.cpu_count() or 1)
+    run(parsed(parser, suites, argv, workers=os.cpu_count() or 1), suites)
 
 
 if __name__ == "__main__":

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks import navigate_cases as cases
-from benchmarks import navigate_faults as faults
 from benchmarks.drives import Maps
-from benchmarks.navigate import scenarios, with_sensors
-from benchmarks.navigate_rows import failures, own_contacts, refused_row, row_of, spans, summary
+from benchmarks.navigate import failures, own_contacts, refused_row, row_of, scenarios, spans, summary
 from benchmarks.runner import Rows, interval
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLogBuilder
@@ -43,7 +41,7 @@ def same(a, b):
 def test_an_episode_comes_from_its_seed_alone():
     known = {scenario.name: scenario for scenario in scenarios(OneMap(), False)}
     for name in ("house burger", "kidnap, house"):
-        a, b, other = (known[name].make(seed) for seed in (3, 3, 4))
+        a, b, other = (known[name].trial(seed) for seed in (3, 3, 4))
         assert same(a.request.start, b.request.start)
         assert same(a.request.goal, b.request.goal)
         assert not same(a.request.goal, other.request.goal)
@@ -52,20 +50,20 @@ def test_an_episode_comes_from_its_seed_alone():
 
 def test_other_sensors_change_nothing_else_of_an_episode():
     kidnap = {scenario.name: scenario for scenario in scenarios(OneMap(), False)}["kidnap, house"]
-    clean = with_sensors(kidnap, "clean")
-    a, b = kidnap.make(3), clean.make(3)
-    assert (clean.name, b.name) == ("kidnap, house, clean", "kidnap, house, clean")
+    clean = dataclasses.replace(kidnap, sensors="clean")
+    a, b = kidnap.trial(3), clean.trial(3)
+    assert (clean.full_name, b.name) == ("kidnap, house, clean", "kidnap, house, clean")
     assert same(a.request.start, b.request.start)
     assert same(a.request.goal, b.request.goal)
     assert (a.config.sim.sensors, b.config.sim.sensors) == ("realistic", "clean")
     assert a.config.sim.faults == b.config.sim.faults
-    assert with_sensors(kidnap, "realistic").make(3).name == "kidnap, house"
+    assert a.name == "kidnap, house"
 
 
 @pytest.mark.slow
 def test_goals_are_reachable_with_room_to_spare_and_kidnaps_are_far():
     for seed in range(2):
-        case = faults.kidnap(OneMap(), "house", "kidnap, house", seed)
+        case = cases.kidnap(OneMap(), "house", "kidnap, house", seed)
         world, robot = case.world, case.robot
         costmap = costmap_from_grid(world.rasterize(robot.lidar_height), CostmapConfig(), world.keepout)
         room = robot.model.circumscribed_radius + cases.ROOM_M
@@ -75,8 +73,8 @@ def test_goals_are_reachable_with_room_to_spare_and_kidnaps_are_far():
         assert np.all(costmap.clearance_at(np.stack(places)) > room)
         cells = [costmap.T_grid_map @ xy / costmap.resolution for xy in places]
         assert len({int(regions[int(c[1]), int(c[0])]) for c in cells}) == 1
-        assert np.linalg.norm(places[0] - places[1]) > faults.FAR_M
-        assert np.linalg.norm(places[0] - places[2]) > faults.CARRIED_M
+        assert np.linalg.norm(places[0] - places[1]) > cases.FAR_M
+        assert np.linalg.norm(places[0] - places[2]) > cases.CARRIED_M
 
 
 def episode(error_m, odometry_step, status="reached"):
@@ -161,7 +159,7 @@ def test_a_campaign_goes_on_where_it_was(tmp_path):
     assert (line["Wilson 95 %"], line["Clopper-Pearson 95 %"]) == ("0.095..0.905", "0.013..0.987")
     (line,) = failures(again.all)
     assert "refused no way" in line
-    assert '--replay "patrol" 8' in line
+    assert '"patrol" --replay 8' in line
 
 
 @pytest.mark.slow
