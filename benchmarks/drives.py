@@ -101,4 +101,5 @@ class Maps:
 
     def true(self, name: str, grid: OccupancyGrid) -> Path:
         """map.yaml of a world as it is."""
+        self._folder.mkdir(parents=True, exist_ok=True)
         return save_map(grid, self._folder, name)

@@ -108,7 +108,7 @@ def episode_row(scenario: Scenario, seed: int) -> Row:
     try:
         mission = prepare(trial.request, trial.robot, trial.config, trial.world.keepout)
     except InputError as error:
-        return refused_row(trial, str(error))
+        return {"reasons": f"refused {error}"}
     with Simulator(trial.world, trial.robot, trial.config.sim, trial.request.seed) as simulator:
         episode = drive(simulator, mission)
     return row_of(trial, episode, time.process_time() - started)
@@ -132,7 +132,9 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
     touched = counted > 0 and not standing_still
     area = m.get("area", {"share": None, "seen_m2": None})
     unseen = area["share"] is not None and area["share"] < case.seen
-    return about(case) | {
+    return {
+        "world": case.world.name,
+        "robot": case.robot.name,
         "success": int(not others and not touched and not unseen),
         "reached": len(reached),
         "goals": len(m["goals"]),
@@ -153,18 +155,11 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
     }
 
 
-def about(case: Trial) -> Row:
-    """Which episode it is, and how to see it again."""
-    name, seed = case.name, case.request.seed
-    replay = f'python -m benchmarks.navigate "{name}" --replay {seed}'
-    world, robot = case.world.name, case.robot.name
-    return {"scenario": name, "seed": seed, "world": world, "robot": robot, "replay": replay}
-
-
-def refused_row(case: Trial, why: str) -> Row:
-    """The row of an episode that was refused at the door: a failure as any other."""
+def about(scenario: str, seed: int) -> Row:
+    """Which episode it is, how to see it again, and what it comes to when nothing comes of it."""
+    replay = f'python -m benchmarks.navigate "{scenario}" --replay {seed}'
     nothing = dict.fromkeys(("success", "reached", "visible", "low", "own_speed", "distance_m"), 0)
-    return about(case) | nothing | {"goals": 1, "reasons": f"refused {why}"}
+    return {"scenario": scenario, "seed": seed, "replay": replay, "goals": 1, "reasons": ""} | nothing
 
 
 def _truly_there(goal: dict[str, Any], case: Trial) -> bool:
@@ -231,9 +226,9 @@ def spans(numbers: Sequence[int]) -> str:
 def failures(rows: Sequence[Row]) -> list[str]:
     """A line for each episode that failed, with the command that shows it again."""
     return [
-        f"- {row['scenario']}, seed {row['seed']} ({row['world']}, {row['robot']}): "
-        f"{row['reasons'] or 'touched something'}; contacts {row['visible']} visible {row['low']} low, "
-        f"{row['own_speed']} at own speed: `{row['replay']} --out DIR`"
+        f"- {row['scenario']}, seed {row['seed']} ({row.get('world')}, {row.get('robot')}): "
+        f"{row.get('error') or row['reasons'] or 'touched something'}; "
+        f"contacts {row['visible']} visible {row['low']} low, {row['own_speed']} at own speed: `{row['replay']} --out DIR`"
         for row in rows
         if not row["success"]
     ]
@@ -251,7 +246,9 @@ def suites(args: Namespace) -> dict[str, Suite]:
     for name, scenario in known(args).items():
         count = args.limit or (scenario.short if args.quick else scenario.count)
         seeds = range(args.first, args.first + count)
-        cases = [Case(f"{name} {seed}", partial(episode_row, scenario, seed)) for seed in seeds]
+        cases = [
+            Case(f"{name} {seed}", partial(episode_row, scenario, seed), about(name, seed)) for seed in seeds
+        ]
         usual = scenario.sensors == args.sensors
         found[name] = Suite(cases, quick=count, usual=usual, show=False)
     return found
@@ -277,7 +274,7 @@ def main() -> None:
     if args.replay is not None:
         raise SystemExit(replay(args, known(args)[args.suites[0]]))
     run(args, suites)
-    rows = {name: Rows(rows_file(args.out, name)).all for name in known(args)}
+    rows = {name: Rows(rows_file(args.out, name), keep=True).all for name in known(args)}
     write(args.out, "navigate", [summary(name, part) for name, part in rows.items() if part])
     print("\n".join(failures([row for part in rows.values() for row in part])))
 

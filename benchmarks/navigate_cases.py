@@ -230,7 +230,7 @@ def _barn_score(best: float) -> Callable[[dict], float]:
     return score
 
 
-# Something goes wrong, in the arena (burger, the patrol) or in the house (waffle_pi and burger in turn, a goal).
+# Something goes wrong, in the arena (burger, the patrol) or the house (waffle_pi and burger in turn, a goal).
 
 
 def drive_to(maps: Maps, place: str, name: str, seed: int) -> Trial:

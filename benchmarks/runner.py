@@ -344,7 +344,9 @@ def run(args: argparse.Namespace, suites: Callable[[argparse.Namespace], dict[st
             print(f"{name}: {len(cases)} cases, {len(waiting)} to measure", flush=True)
             try:
                 for case, row in in_processes(waiting, args.workers, 60.0 * args.minutes):
-                    told = ", ".join(f"{key} {shown(row[key])}" for key in row if key not in case.about)
+                    told = ", ".join(
+                        f"{key} {shown(row[key])}" for key in row if row[key] != case.about.get(key)
+                    )
                     print(f"  {case.name}: {told}", flush=True)
                     rows.add(case.name, row)
             except KeyboardInterrupt:

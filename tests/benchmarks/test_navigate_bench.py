@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import navigate_cases as cases
 from benchmarks.drives import Maps
-from benchmarks.navigate import failures, own_contacts, refused_row, row_of, scenarios, spans, summary
+from benchmarks.navigate import about, failures, own_contacts, row_of, scenarios, spans, summary
 from benchmarks.runner import Rows, interval
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLogBuilder
@@ -148,23 +148,24 @@ def test_seeds_are_named_as_runs():
 def test_a_campaign_goes_on_where_it_was(tmp_path):
     case = cases.patrol(OneMap(), "patrol", 7)
     rows = Rows(tmp_path / "navigate.jsonl")
-    rows.add("patrol 7", row_of(case, episode(0.01, 0.0), 1.0) | {"success": 1})
-    late = case.asked(seed=8)
-    rows.add("patrol 8", refused_row(late, "no way"))
+    rows.add("patrol 7", about("patrol", 7) | row_of(case, episode(0.01, 0.0), 1.0) | {"success": 1})
+    rows.add("patrol 8", about("patrol", 8) | {"reasons": "refused no way"})
+    rows.add("patrol 9", about("patrol", 9) | {"error": "its process died"})
     again = Rows(tmp_path / "navigate.jsonl")
     assert again.get("patrol 7") is not None
-    assert again.get("patrol 9") is None
+    assert again.get("patrol 10") is None
     line = summary("patrol", again.all)
-    assert (line["seeds"], line["success"], line["rate"]) == ("7..8", "1/2", "0.500")
-    assert (line["Wilson 95 %"], line["Clopper-Pearson 95 %"]) == ("0.095..0.905", "0.013..0.987")
-    (line,) = failures(again.all)
+    assert (line["seeds"], line["success"], line["rate"]) == ("7..9", "1/3", "0.333")
+    assert (line["Wilson 95 %"], line["Clopper-Pearson 95 %"]) == ("0.061..0.792", "0.008..0.906")
+    line, died = failures(again.all)
     assert "refused no way" in line
+    assert "its process died" in died
     assert '"patrol" --replay 8' in line
 
 
 @pytest.mark.slow
 def test_every_controller_is_given_the_same_goals_on_the_true_map(tmp_path):
-    maps = Maps(tmp_path, "realistic")
+    maps = Maps(tmp_path / "maps", "realistic")
     a, b = (cases.controlled(maps, "arena", name, name, 3) for name in ("pursuit", "tutorial's dwa"))
     assert same(a.request.start, b.request.start)
     assert same(a.request.goal, b.request.goal)
