@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.metrics.relations import nearest
 
@@ -88,15 +87,6 @@ class Known:
         t = self.times
         return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
 
-    def interval(self, start: float, length: float) -> Mask:
-        """Scans of an interval [s since the first], (n,)."""
-        t = self.times
-        return (t >= start) & (t < start + length)
-
-    def without(self, start: float, length: float) -> Known:
-        """The log with the scans of an interval missing [s since its first scan]."""
-        return self.with_scans(~self.interval(start, length))
-
     def with_odometry(self, T_odom_base: SE2) -> Known:
         """The log with another odometry at its scans.
 
@@ -123,11 +113,6 @@ class Known:
         """The log with other ranges (n_scans, n_beams)."""
         return self.recorded(ranges=np.asarray(ranges, dtype=np.float32))
 
-    def blinded(self, start: float, length: float) -> Known:
-        """The log with NaN-only scans in an interval."""
-        blind = self.interval(start, length)[:, None]
-        return self.with_ranges(np.where(blind, np.nan, self.recording.ranges))
-
     def without_returns(self, lost: ArrayLike) -> Known:
         """The log with no return on these beams."""
         return self.with_ranges(np.where(lost, np.inf, self.recording.ranges))
@@ -145,18 +130,6 @@ class Known:
         lidar = self.recording.lidar
         lidar = replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)
         return self.recorded(lidar=lidar)
-
-    def clock_back(self, start: float, seconds: float) -> Known:
-        """The log whose clock was set back once."""
-        late = self.times >= start
-        return self.recorded(stamps_ns=self.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
-
-    def shaken_stamps(self, share: float, std_s: float, seed: int = 1) -> Known:
-        """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
-        rng = stream(seed, "stamps")
-        n = len(self.recording)
-        wrong = np.where(rng.random(n) < share, rng.normal(0.0, std_s, n), 0.0)
-        return self.recorded(stamps_ns=self.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
 
 
 def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATIONS) -> Known:

@@ -228,7 +228,8 @@ def failures(rows: Sequence[Row]) -> list[str]:
     return [
         f"- {row['scenario']}, seed {row['seed']} ({row.get('world')}, {row.get('robot')}): "
         f"{row.get('error') or row['reasons'] or 'touched something'}; "
-        f"contacts {row['visible']} visible {row['low']} low, {row['own_speed']} at own speed: `{row['replay']} --out DIR`"
+        f"contacts {row['visible']} visible {row['low']} low, {row['own_speed']} at own speed: "
+        f"`{row['replay']} --out DIR`"
         for row in rows
         if not row["success"]
     ]

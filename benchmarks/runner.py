@@ -6,17 +6,18 @@ import argparse
 import ast
 import csv
 import fnmatch
+import itertools
 import json
 import math
 import multiprocessing
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
@@ -46,18 +47,6 @@ def options(
     return parser
 
 
-def parts_of(parser: argparse.ArgumentParser, parts: Collection[str]) -> None:
-    """Words of the command line that say which parts of a benchmark are wanted: without any, all."""
-
-    def known(word: str) -> str:
-        if word not in parts:
-            raise argparse.ArgumentTypeError(f"no {word!r}: there are {', '.join(parts)}")
-        return word
-
-    told = f"of {', '.join(parts)} (default: all)"
-    parser.add_argument("parts", nargs="*", type=known, default=list(parts), metavar="PART", help=told)
-
-
 def public(*names: str) -> Path | None:
     """A file or folder of the public data, below TURTLEBAG_DATA; None when it is not there."""
     root = os.environ.get("TURTLEBAG_DATA")
@@ -78,6 +67,12 @@ class Case:
     name: str
     measure: Callable[[], Row]
     about: Row = field(default_factory=dict)
+
+
+def every(measure: Callable[..., Row], **levels: Iterable[Any]) -> list[Case]:
+    """A case for each combination of the levels of some arguments of `measure`."""
+    grid = [dict(zip(levels, values, strict=True)) for values in itertools.product(*levels.values())]
+    return [Case(" ".join(map(str, about.values())), partial(measure, **about), about) for about in grid]
 
 
 @dataclass(frozen=True)
@@ -275,7 +270,7 @@ def shown(value: Any) -> str:
 
 def markdown(rows: list[Row], columns: Iterable[str] = ()) -> str:
     """A table of rows; without `columns` those of the first."""
-    columns = list(columns) or list(rows[0])
+    columns = list(columns) or [key for key in rows[0] if key != "code"]
     lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
     lines += ["| " + " | ".join(shown(row.get(c)).replace("|", "/") for c in columns) + " |" for row in rows]
     return "\n".join(lines) + "\n"

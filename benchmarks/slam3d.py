@@ -16,7 +16,7 @@ from functools import cache, lru_cache, partial
 from pathlib import Path
 
 import turtlebag as tb
-from benchmarks.runner import Case, Row, Suite, options, parsed, run
+from benchmarks.runner import Row, Suite, every, options, parsed, run
 from benchmarks.slam_parts import VARIANTS, ablation_table
 from benchmarks.slam_scores import errors
 from tests.helpers.drives3d import Drive3d, changed, make_drive
@@ -64,9 +64,9 @@ def drive(world: str) -> Drive3d:
     return made
 
 
-def worth_row(world: str, variant: str) -> Row:
+def worth_row(log: str, variant: str) -> Row:
     """A drive mapped with some parts switched off."""
-    made, start = drive(world), time.process_time()
+    made, start = drive(log), time.process_time()
     result = run_slam_3d(made.recording, Slam3dConfig.model_validate(VARIANTS["space"][variant]))
     spent = round(time.process_time() - start, 1)
     found = ate(result.trajectory, made.truth, align=False)["rmse"]
@@ -75,19 +75,12 @@ def worth_row(world: str, variant: str) -> Row:
 
 def suites(args: Namespace) -> dict[str, Suite]:
     """The worlds, and what each part is worth."""
-    worlds = [{"world": world, "sensors": sensors} for world in WORLDS for sensors in ("both", "lidar")]
-    worth = [{"log": log, "variant": v} for log in ("room", "corridors") for v in VARIANTS["space"]]
+    kept = partial(world_row, out=args.out.absolute())
+    worlds = every(kept, world=WORLDS, sensors=("both", "lidar"))
+    worth = every(worth_row, log=("room", "corridors"), variant=VARIANTS["space"])
     return {
-        "worlds": Suite(
-            [Case(" ".join(w.values()), partial(world_row, **w, out=args.out.absolute()), w) for w in worlds],
-            kept=False,
-        ),
-        "worth": Suite(
-            [Case(", ".join(w.values()), partial(worth_row, w["log"], w["variant"]), w) for w in worth],
-            summary=ablation_table,
-            quick=len(VARIANTS["space"]),
-            kept=False,
-        ),
+        "worlds": Suite(worlds, kept=False),
+        "worth": Suite(worth, summary=ablation_table, quick=len(VARIANTS["space"]), kept=False),
     }
 
 

@@ -61,7 +61,7 @@ def ablation_cases(
 
 
 def ablation_table(rows: list[Row]) -> list[Row]:
-    """A line a variant: mean errors, degrees of near relations where the truth is exact, CPU seconds."""
+    """A line a variant: errors of each log [m], of the heading [deg] where they are known, CPU seconds."""
     table = {row["variant"]: {"variant": row["variant"]} for row in rows}
     for row in rows:
         table[row["variant"]][row["log"]] = row.get("error") or _told(row)
@@ -69,9 +69,8 @@ def ablation_table(rows: list[Row]) -> list[Row]:
 
 
 def _told(row: Row) -> str:
-    degrees, doubtful = row.get("near_deg", row.get("deg")), " d" if row["verdict"] != "good" else ""
-    turned = "" if degrees is None else f" / {degrees:.3f}"
-    return f"{row['m']:.4f}{turned}{doubtful} ({row['cpu_s']:.0f} s)"
+    turned = f" / {row['deg']:.3f}" if "deg" in row else ""
+    return f"{row['m']:.4f}{turned}{'' if row['verdict'] == 'good' else ' d'} ({row['cpu_s']:.0f} s)"
 
 
 def number_row(data: Path | None, log: str, name: str, factor: float) -> Row:

@@ -9,14 +9,10 @@ from benchmarks.known import Known
 from benchmarks.runner import Row
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.metrics.relations import relation_errors, relations_metrics
+from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.trajectory import PosePairs, summary
 
-PAIRS = 2000
-NEAR_M = 2.5
-RETURN_M = 10.0
 FOLD_M = 3.0
 
 
@@ -44,9 +40,7 @@ def errors(estimate: SE2, reference: SE2) -> Row:
     """Errors against the pose of each scan (n,); scans whose reference is NaN do not count.
 
     `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `scaled_m` with the scale fitted as well, for a log
-    cannot tell that of its lidar; `anchored_*` with the first pose as the only anchor. `near_deg` and
-    `return_m` are those of relations, sampled as Kuemmerle et al. (2009) chose theirs by hand: between poses
-    near each other in space, half of them successive, half of them returns to a place. `folded` is the share
+    cannot tell that of its lidar; `anchored_*` with the first pose as the only anchor. `folded` is the share
     of scans laid over a place they never saw.
     """
     sure = np.isfinite(reference.xyt).all(axis=1)
@@ -56,7 +50,6 @@ def errors(estimate: SE2, reference: SE2) -> Row:
     anchored = PosePairs(number, true[0] @ estimate[0].inverse() @ estimate, true)
     fit, first = summary(fitted.position_errors()), summary(anchored.position_errors())
     scale, scaled = _scaled(fitted.T_map_base.xy, true.xy)
-    near, back = (_relation_errors(estimate, true, pairs) for pairs in _pairs(true, PAIRS))
     return {
         "m": fit["rmse"],
         "deg": float(np.degrees(summary(fitted.yaw_errors())["rmse"])),
@@ -65,8 +58,6 @@ def errors(estimate: SE2, reference: SE2) -> Row:
         "scale": scale,
         "anchored_m": first["rmse"],
         "anchored_worst_m": first["max"],
-        "near_deg": float(np.degrees(np.concatenate([near[1], back[1]]).mean())),
-        "return_m": float(back[0].mean()) if len(back[0]) else 0.0,
         "folded": _folded(estimate, true),
     }
 
@@ -76,30 +67,6 @@ def _scaled(fitted: Array, true: Array) -> tuple[float, Array]:
     a, b = fitted - fitted.mean(axis=0), true - true.mean(axis=0)
     scale = float(np.sum(a * b) / max(np.sum(a * a), 1e-12))
     return scale, np.linalg.norm(scale * a - b, axis=1)
-
-
-def _pairs(true: SE2, n: int) -> tuple[Array, Array]:
-    """Pairs (m, 2) of successive poses, and of poses at which the robot came back to a place."""
-    rng = stream(1, "relations")
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true.xy, axis=0), axis=1))])
-    a = rng.integers(0, len(path), n)
-    ahead = np.searchsorted(path, path[a] + rng.uniform(0.2, 2.0, n))
-    ok = ahead < len(path)
-    near = np.stack([a[ok], ahead[ok]], axis=1)
-    places = np.unique(a)
-    found = cKDTree(true.xy).query_ball_point(true.xy[places], NEAR_M, return_sorted=False)
-    returns = {}
-    for i, others in zip(places, map(np.array, found), strict=True):
-        returns[i] = others[np.abs(path[others] - path[i]) > RETURN_M]
-    back = [(i, rng.choice(returns[i])) for i in a if len(returns[i])]
-    return near, np.array(back, dtype=np.int64).reshape(-1, 2)
-
-
-def _relation_errors(estimate: SE2, true: SE2, pairs: Array) -> tuple[Array, Array]:
-    """Errors of the relations between pairs (m, 2) of poses: translation (m,) [m] and rotation (m,) [rad]."""
-    i, j = pairs.T
-    wanted = Relations(i, j, true[i].inverse() @ true[j])
-    return relation_errors(Trajectory(np.arange(len(true)), estimate), wanted)[:2]
 
 
 def _folded(estimate: SE2, true: SE2) -> float:

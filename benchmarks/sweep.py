@@ -1,6 +1,6 @@
 """How campaigns scale: what a case costs that does nothing, a second core, a question to a million rows.
 
-python -m benchmarks.sweep [PART ...] [--cases N] [--rows N] [--out DIR]
+python -m benchmarks.sweep [--only PART ...] [--cases N] [--rows N] [--out DIR]
 
 Parts:
   overhead  empty cases on a scheduler with two workers, each a process: milliseconds of a worker and of
@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import turtlebag as tb
-from benchmarks.runner import Row, held_mb, options, parts_of, write
+from benchmarks.runner import Row, held_mb, options, write
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Run, Where
 from turtlebag.pipeline.campaign.cases import cases
@@ -160,10 +160,10 @@ PARTS: dict[str, Callable[[Namespace, Path], list[Row]]] = {
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure what is asked for, print and write the tables."""
     parser = options(__doc__, "data/benchmarks/sweep", cases=10_000, rows=1_000_000)
-    parts_of(parser, PARTS)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART")
     args = parser.parse_args(argv)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
-        for name in args.parts:
+        for name in args.only:
             write(args.out, name, PARTS[name](args, Path(scratch)))
 
 

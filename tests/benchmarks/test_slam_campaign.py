@@ -129,9 +129,9 @@ def test_a_case_that_raises_dies_or_hangs_has_a_row_and_the_others_go_on():
 
 @pytest.mark.slow
 def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
-    def suites(out, data):
+    def suites(args):
         cases = [Case(str(k), partial(dict, m=k / 10)) for k in range(3)]
-        return {"few": slam_campaign.Suite(cases, ("case", "m"), code=("benchmarks/runner.py",))}
+        return {"few": frame.Suite(cases, ("case", "m"), code=("benchmarks/runner.py",))}
 
     monkeypatch.setattr(slam_campaign, "suites", suites)
     monkeypatch.delenv("TURTLEBAG_DATA", raising=False)
@@ -146,17 +146,6 @@ def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, ca
     lines = (tmp_path / "out/rows/few.jsonl").read_text().splitlines()
     assert [json.loads(line)["case"] for line in lines] == ["0", "1", "2"]
     assert (tmp_path / "out/few.csv").read_text().splitlines()[0] == "case,m,code"
-
-
-def test_parts_that_are_not_named_are_all_of_them_and_an_unknown_one_is_an_error(capsys):
-    parser = frame.options("Some tables.")
-    frame.parts_of(parser, {"a": 1, "b": 2})
-    assert parser.parse_args([]).parts == ["a", "b"]
-    assert parser.parse_args(["b"]).parts == ["b"]
-    with pytest.raises(SystemExit) as ended:
-        parser.parse_args(["c"])
-    assert ended.value.code == 2
-    assert "no 'c': there are a, b" in capsys.readouterr().err
 
 
 def test_code_is_the_same_code_when_only_its_comments_change(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from benchmarks.known import Known
+from benchmarks.known import Known, Mask
 from tests.helpers.made_drives import Drive, FloorPlan, Lie, Sensor, Wheels, lds, make_log, points_along, sick
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
@@ -172,3 +172,35 @@ def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0
     sensor = burger_lidar()
     drive = Drive(v=0.22, w=1.0, ahead=0.3)
     return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=wheels_of(seed), seed=seed)
+
+
+# What is done to a log.
+
+
+def interval(log: Known, start: float, length: float) -> Mask:
+    """Scans of an interval [s since the first], (n,)."""
+    return (log.times >= start) & (log.times < start + length)
+
+
+def without(log: Known, start: float, length: float) -> Known:
+    """The log with the scans of an interval missing [s since its first scan]."""
+    return log.with_scans(~interval(log, start, length))
+
+
+def blinded(log: Known, start: float, length: float) -> Known:
+    """The log with NaN-only scans in an interval."""
+    blind = interval(log, start, length)[:, None]
+    return log.with_ranges(np.where(blind, np.nan, log.recording.ranges))
+
+
+def clock_back(log: Known, start: float, seconds: float) -> Known:
+    """The log whose clock was set back once."""
+    late = log.times >= start
+    return log.recorded(stamps_ns=log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
+
+
+def shaken_stamps(log: Known, share: float, std_s: float, seed: int = 1) -> Known:
+    """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
+    rng, n = stream(seed, "stamps"), len(log.recording)
+    wrong = np.where(rng.random(n) < share, rng.normal(0.0, std_s, n), 0.0)
+    return log.recorded(stamps_ns=log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.known import Known
 from benchmarks.slam_scores import errors
 from tests.helpers.made_drives import Drive, FloorPlan, Sensor, Wheels, make_log, sick
-from tests.helpers.made_logs import WHEELS, office_plan
+from tests.helpers.made_logs import WHEELS, interval, office_plan, without
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
@@ -61,7 +61,7 @@ def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Known:
 def displaced(log: Known, start: float, offset: tuple[float, float, float]) -> Known:
     """The log whose odometry jumps by an offset (in the base frame) once, and is right again from there."""
     T = log.odometry
-    first = int(np.argmax(log.interval(start, np.inf)))
+    first = int(np.argmax(interval(log, start, np.inf)))
     moved = (T[first] @ SE2(np.array(offset)) @ T[first].inverse()) @ T[first:]
     xyt = np.concatenate([T.xyt[:first], moved.xyt])
     return log.recorded(T_odom_base=SE2(xyt))
@@ -69,14 +69,14 @@ def displaced(log: Known, start: float, offset: tuple[float, float, float]) -> K
 
 def carried(log: Known, start: float, length: float) -> Known:
     """The log of a robot that was carried: for an interval no scans, and wheels that stood still."""
-    away, T = np.flatnonzero(log.interval(start, length)), log.odometry
+    away, T = np.flatnonzero(interval(log, start, length)), log.odometry
     late = (T[away[0]] @ T[away[-1] + 1].inverse() @ T[away[-1] + 1 :]).xyt
     xyt = np.concatenate([T.xyt[: away[-1] + 1], late])
-    return log.recorded(T_odom_base=SE2(xyt)).without(start, length)
+    return without(log.recorded(T_odom_base=SE2(xyt)), start, length)
 
 
 BREAKS = {
-    "gap in which odometry jumps": lambda log: displaced(log.without(40.0, 12.0), 40.0, (14.0, -6.0, 1.4)),
+    "gap in which odometry jumps": lambda log: displaced(without(log, 40.0, 12.0), 40.0, (14.0, -6.0, 1.4)),
     "robot carried away": lambda log: carried(log, 55.0, 14.0),
 }
 
@@ -120,7 +120,7 @@ def test_rooms_like_one_another_are_not_taken_for_one():
 @pytest.mark.parametrize("there_and_back", [False, True])
 def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_back):
     log = twins(2, rooms=6, there_and_back=there_and_back)
-    log = displaced(log.without(45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
+    log = displaced(without(log, 45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
     result = run_slam(log.recording, SlamConfig())
     assert not any(place.verdict == "accepted" for place in result.recognised)
     assert any("breaks" in reason for reason in result.check.reasons)

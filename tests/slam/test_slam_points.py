@@ -37,7 +37,7 @@ def test_posts_are_mapped_by_points_where_no_line_can_be_fitted(hall):
     error = errors(found.trajectory.poses, hall.reference)
     assert error["m"] < 0.02
     assert error["m"] < 0.1 * odometry["m"]
-    assert error["near_deg"] < 0.4
+    assert error["deg"] < 0.4
     assert found.check.good
 
 
@@ -78,11 +78,11 @@ def test_lidar_alone_undoes_its_own_turning():
     alone = errors(run_slam(part, SlamConfig(sensors="lidar")).trajectory.poses, log.reference[:n])
     assert alone["m"] < 0.01
     assert alone["worst_m"] < 0.02
-    assert alone["near_deg"] < 0.5
+    assert alone["deg"] < 0.5
     skewed = errors(
         run_slam(part, SlamConfig(sensors="lidar", deskew=False)).trajectory.poses, log.reference[:n]
     )
-    assert skewed["near_deg"] > 1.5
+    assert skewed["deg"] > 1.5
 
 
 def test_sweep_motion_by_true_poses_is_that_of_true_odometry():
