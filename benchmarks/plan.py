@@ -15,8 +15,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import get_args
 
@@ -27,7 +29,7 @@ from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
 from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_shortest import Lattice
-from benchmarks.runner import Row, grouped, options, public, write
+from benchmarks.runner import Row, Suite, every, grouped, options, parsed, public, run, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -75,6 +77,7 @@ class Place:
     queries: tuple[tuple[SE2, SE2, float], ...]
 
 
+@lru_cache(maxsize=1)
 def place(name: str, robot_name: str, count: int, out: Path) -> Place:
     """A map and random queries between poses that one floor joins."""
     robot = load_robot(robot_name)
@@ -137,33 +140,39 @@ def clearance(at: Place, found: Plan, space: str) -> float:
     return float(path_clearance(*field, samples, xyt, float(xyt[0, 0]), float(xyt[0, 1]), math.inf))
 
 
-def measure(at: Place, space: str, planners: Sequence[str]) -> Iterator[Row]:
-    """Every planner on every query of a place."""
-    for query, (a, b, shortest) in enumerate(at.queries):
-        for planner in planners:
-            found, ms = ask(at, a, b, config_of(planner, space), SEED + query)
-            least = math.nan if found is None else clearance(at, found, space)
-            length = math.nan if found is None else found.length
-            yield {
-                "map": at.name,
-                "robot": at.robot.name,
-                "space": space,
-                "query": query,
-                "planner": planner,
-                "answered": int(found is not None),
-                "solved": int(found is not None and found.planner not in (OVER_CELLS, ORIENTED)),
-                "correct": int(found is not None and least > 0.0),
-                "time_ms": ms,
-                "length_m": length,
-                "shortest_m": shortest,
-                "ratio": length / shortest,
-                "clearance_m": least,
-            }
+@cache
+def compiled(space: str) -> None:
+    """Plan once, so that no row pays for what is compiled or loaded."""
+    at = place(*MAPS[0], 1, Path())
+    ask(at, *at.queries[0][:2], config_of("RRTConnect", space), SEED)
 
 
-def refusals(at: Place, count: int, gap: float = 0.0) -> list[float]:
-    """CPU milliseconds to refuse goals walled off by a ring with a gap of so many footprints' widths."""
-    times, rng = [], stream(2, f"plan {at.name} {at.robot.name}")
+def plan_row(map: str, robot: str, space: str, query: int, planner: str, count: int, out: Path) -> Row:
+    """A planner on one of `count` queries of a place."""
+    compiled(space)
+    at = place(map, robot, count, out)
+    a, b, shortest = at.queries[query]
+    found, ms = ask(at, a, b, config_of(planner, space), SEED + query)
+    least = math.nan if found is None else clearance(at, found, space)
+    length = math.nan if found is None else found.length
+    return {
+        "answered": int(found is not None),
+        "solved": int(found is not None and found.planner not in (OVER_CELLS, ORIENTED)),
+        "correct": int(found is not None and least > 0.0),
+        "time_ms": ms,
+        "length_m": length,
+        "shortest_m": shortest,
+        "ratio": length / shortest,
+        "clearance_m": least,
+    }
+
+
+def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
+    """CPU milliseconds to refuse goals walled off by a ring, by its gap in REFUSED."""
+    compiled("disc")
+    at, gap = place(map, robot, count, out), REFUSED[goals]
+    times: list[float] = []
+    rng = stream(2, f"plan {at.name} {at.robot.name}")
     while len(times) < count:
         a, b = pose_on(at.grid, at.cells, rng), pose_on(at.grid, at.cells, rng)
         if float(np.linalg.norm(a.xy - b.xy)) < 1.5:
@@ -180,9 +189,19 @@ def refusals(at: Place, count: int, gap: float = 0.0) -> list[float]:
         shut = Place(at.name, at.robot, walled, at.grid, at.cells, ())
         found, ms = ask(shut, a, b, PlanConfig(), len(times))
         if found is not None:
-            raise SystemExit(f"{at.name}: a walled-off goal was 'reached'")
+            raise RuntimeError("a walled-off goal was reached")
         times.append(ms)
-    return times
+    return {"ms": times}
+
+
+def refused(rows: Sequence[Row]) -> list[Row]:
+    """A line for each kind of goal."""
+    found = []
+    for (goals,), part in grouped(rows, "goals").items():
+        ms = [time for row in part for time in row.get("ms", ())]
+        figures = {"median ms": float(np.median(ms)), "longest ms": max(ms)} if ms else {}
+        found.append({"goals": goals, "refused": len(ms)} | figures)
+    return found
 
 
 def figures(label: Row, rows: Sequence[Row]) -> Row:
@@ -198,7 +217,7 @@ def figures(label: Row, rows: Sequence[Row]) -> Row:
     }  # fmt: skip
 
 
-def table(rows: Sequence[Row], *keys: str) -> list[Row]:
+def table(rows: Sequence[Row], keys: tuple[str, ...]) -> list[Row]:
     """A line for each value of some columns."""
     groups = grouped(rows, *keys).items()
     return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups]
@@ -212,7 +231,8 @@ def boxes(plans: Sequence[Row]) -> Figure:
     """
     planners = {planner: found for (planner,), found in grouped(plans, "planner").items()}
     names = [f"{name}  {sum(row['solved'] for row in rows)}/{len(rows)}" for name, rows in planners.items()]
-    figure = new_figure(1.2 + 0.26 * len(names), width_in=1.8 * WIDTH_IN)
+    figure = new_figure(1.2 + 0.26 * len(names))
+    figure.set_figwidth(1.8 * WIDTH_IN)
     axes, places = figure.subplots(1, len(PANELS), sharey=True), range(len(names))
     for axis, (column, label, scale, target) in zip(axes, PANELS, strict=True):
         values = [[r[column] for r in found if r["solved"]] for found in planners.values()]
@@ -240,46 +260,43 @@ def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
     return paths
 
 
+def suites(args: Namespace) -> dict[str, Suite]:
+    """Plans, and goals that cannot be reached."""
+    out, quick = args.out.absolute(), args.quick
+    queries = args.queries or (4 if quick else 10)
+    there = [m for m in (MAPS[:2] if quick else MAPS) if m[0] != "intel" or public(*INTEL)]
+    plans, refusals = [], []
+    for map, robot in there:
+        for space in args.spaces:
+            if space != "disc" and (map, robot) not in (POSE_MAPS[:1] if quick else POSE_MAPS):
+                continue
+            few = ["BITstar", "RRTConnect", "PRM"] if space == "disc" else ["RRTConnect"]
+            count = queries if space == "disc" else 2 if quick else max(4, queries // 2)
+            about = {"map": (map,), "robot": (robot,), "space": (space,), "query": range(count)}
+            planners = few if quick else planners_of(space)
+            plans += every(partial(plan_row, count=queries, out=out), **about, planner=planners)
+        shut = partial(refusal_row, count=queries, out=out)
+        refusals += every(shut, map=(map,), robot=(robot,), goals=REFUSED)
+    by_planner = partial(table, keys=("space", "planner"))
+    return {
+        "plan": Suite(plans, summary=by_planner, quick=len(plans), kept=False, show=False),
+        "refused": Suite(refusals, summary=refused, quick=len(refusals), kept=False, show=False),
+    }
+
+
 def main() -> None:
     parser = options(__doc__, "data/benchmarks/plan", "few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
     parser.add_argument("--spaces", nargs="+", choices=("disc", *SPACES), default=["disc", *SPACES])
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    queries = args.queries or (4 if args.quick else 10)
-    maps = MAPS[:2] if args.quick else MAPS
-    if public(*INTEL) is None:
-        print("intel: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
-        maps = tuple(m for m in maps if m[0] != "intel")
-    rows: list[Row] = []
-    refused: dict[str, list[float]] = {}
-    warm = place(*MAPS[0], 1, args.out)
-    for space in args.spaces:  # compiled before anything is timed
-        list(measure(warm, space, ["RRTConnect"]))
-    for name, robot in maps if "disc" in args.spaces else ():
-        at = place(name, robot, queries, args.out)
-        rows += measure(at, "disc", ["BITstar", "RRTConnect", "PRM"] if args.quick else planners_of("disc"))
-        for kind, gap in REFUSED.items():
-            refused.setdefault(kind, []).extend(refusals(at, queries, gap))
-        print(f"{name} {robot}: {len(rows)} plans", flush=True)
-    for name, robot in POSE_MAPS[:1] if args.quick else POSE_MAPS:
-        at = place(name, robot, 2 if args.quick else max(4, queries // 2), args.out)
-        for space in [s for s in args.spaces if s != "disc"]:
-            rows += measure(at, space, ["RRTConnect"] if args.quick else planners_of(space))
-            print(f"{name} {robot} {space}: {len(rows)} plans", flush=True)
+    args = parsed(parser, suites)
+    rows = [row for row in run(args, suites).get("plan", []) if "error" not in row]
+    if not rows:
+        return
     write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
     with styled():
-        shown = [row for row in rows if row["space"] == args.spaces[0]]
-        save_png(boxes(shown), args.out / "plan.png")
-    write(args.out, "plan", rows, show=False)
-    write(args.out, "planners", table(rows, "space", "planner"))
+        save_png(boxes([row for row in rows if row["space"] == args.spaces[0]]), args.out / "plan.png")
     default = [row for row in rows if row["planner"] == OmplConfig(space=row["space"]).name]
-    write(args.out, "maps", table(default, "space", "map", "robot"))
-    refusing = [
-        {"goals": kind, "refused": len(ms), "median ms": float(np.median(ms)), "longest ms": max(ms)}
-        for kind, ms in refused.items()
-    ]
-    write(args.out, "refused", refusing)
+    write(args.out, "maps", table(default, ("space", "map", "robot")))
 
 
 if __name__ == "__main__":

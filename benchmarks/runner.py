@@ -96,7 +96,7 @@ class Suite:
 
 
 def code_of(places: tuple[str, ...]) -> str:
-    """Fingerprint of the code in folders and files of the project; comments and docstrings do not count."""
+    """Fingerprint of the code in folders and files of the project; comments do not count."""
     found = [path for place in places for path in (ROOT / place, *(ROOT / place).rglob("*.py"))]
     files = sorted(path for path in found if path.is_file())
     return fingerprint([(path.relative_to(ROOT).as_posix(), _bare(path)) for path in files])[:16]
@@ -104,17 +104,8 @@ def code_of(places: tuple[str, ...]) -> str:
 
 @cache
 def _bare(path: Path) -> str:
-    """The code of a file without comments and docstrings."""
-    tree = ast.parse(path.read_text())
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            node.body = [  # type: ignore[attr-defined]
-                line
-                for line in body
-                if not (isinstance(line, ast.Expr) and isinstance(getattr(line.value, "value", None), str))
-            ]
-    return ast.dump(tree)
+    """The code of a file without comments."""
+    return ast.dump(ast.parse(path.read_text()))
 
 
 class Rows:
@@ -325,9 +316,11 @@ def parsed(
     return args
 
 
-def run(args: argparse.Namespace, suites: Callable[[argparse.Namespace], dict[str, Suite]]) -> None:
-    """Measure the suites of a command line that have no rows yet, print and write their tables."""
-    known = suites(args)
+def run(
+    args: argparse.Namespace, suites: Callable[[argparse.Namespace], dict[str, Suite]]
+) -> dict[str, list[Row]]:
+    """Measure what has no row yet of the suites of a command line, write their tables; the rows of each."""
+    known, found = suites(args), {}
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
         for name in args.suites:
@@ -347,7 +340,8 @@ def run(args: argparse.Namespace, suites: Callable[[argparse.Namespace], dict[st
             except KeyboardInterrupt:
                 print("stopped; the same command goes on from here", file=sys.stderr)
                 raise SystemExit(130) from None
-            found = rows.of(cases)
-            write(args.out, name, suite.complete(found), suite.columns, show=suite.show)
-            if suite.summary and found:
-                write(args.out, f"{name}-summary", suite.summary(found))
+            found[name] = rows.of(cases)
+            write(args.out, name, suite.complete(found[name]), suite.columns, show=suite.show)
+            if suite.summary and found[name]:
+                write(args.out, f"{name}-summary", suite.summary(found[name]))
+    return found

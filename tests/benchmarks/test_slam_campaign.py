@@ -151,12 +151,12 @@ def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, ca
 def test_code_is_the_same_code_when_only_its_comments_change(tmp_path, monkeypatch):
     monkeypatch.setattr(frame, "ROOT", tmp_path)
     file, found = tmp_path / "a.py", []
-    for text in ("x = 1\n", "# why\nx = 1\n", '"""What."""\n\nx = 1\n', "x = 2\n"):
+    for text in ("x = 1\n", "# why\nx = 1\n", "x = 2\n"):
         file.write_text(text)
         frame._bare.cache_clear()
         found.append(frame.code_of(("a.py",)))
     frame._bare.cache_clear()
-    assert found[0] == found[1] == found[2] != found[3]
+    assert found[0] == found[1] != found[2]
 
 
 def test_figures_of_many_maps_count_those_far_off_and_what_was_said_of_them():
