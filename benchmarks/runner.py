@@ -11,14 +11,16 @@ import json
 import math
 import multiprocessing
 import os
+import signal
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
-from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -153,81 +155,46 @@ class Rows:
         return [self._found[case.name] for case in cases if case.name in self._found]
 
 
-class Worker:
-    """A process that measures one case after the other; where a case has ended it, the next has a new one."""
-
-    def __init__(self) -> None:
-        self._process: Any = None
-
-    def measure(self, case: Case, limit_s: float) -> Row:
-        """The row of a case, or one that says why there is none: it may take so long [s]."""
-        if self._process is None:
-            self._pipe, theirs = SPAWN.Pipe()
-            self._process = SPAWN.Process(target=serve, args=(theirs,))
-            self._process.start()
-            theirs.close()
-        try:
-            self._pipe.send(case)
-            if self._pipe.poll(limit_s):
-                return dict(self._pipe.recv())
-            why = f"took more than {limit_s:.0f} s"
-        except (EOFError, ConnectionError):
-            why = "its process died"
-        self.kill()
-        self._process.join()
-        self._process = None
-        return failed(case, why)
-
-    def kill(self) -> None:
-        """End the process, whatever it is doing."""
-        if self._process is not None:
-            self._process.kill()
-
-
-def serve(pipe: Connection) -> None:
-    """Measure what comes until the other end is gone."""
-    try:
-        while True:
-            pipe.send(measured(pipe.recv()))
-    except (EOFError, BrokenPipeError, KeyboardInterrupt):
-        return
-
-
-def measured(case: Case) -> Row:
-    """The row of a case; one that raises has a row that says so."""
+def measured(case: Case, limit_s: float) -> Row:
+    """The row of a case; one that raises has a row that says so, the process of a late one is ended."""
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
     try:
         return {**case.about, **case.measure()}
     except Exception as error:
-        return failed(case, f"{type(error).__name__}: {error}")
-
-
-def failed(case: Case, why: str) -> Row:
-    """The row of a case without a result."""
-    return {**case.about, "error": why}
+        return {**case.about, "error": f"{type(error).__name__}: {error}"}
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def in_processes(cases: Sequence[Case], count: int, limit_s: float) -> Iterator[tuple[Case, Row]]:
-    """Cases and their rows as they come, from `count` processes; none takes longer than `limit_s` [s]."""
-    workers = [Worker() for _ in range(count)]
-    idle: SimpleQueue[Worker] = SimpleQueue()
-    for worker in workers:
-        idle.put(worker)
+    """Cases and their rows as they come, from `count` processes; none takes longer than `limit_s` [s].
+
+    A case that hangs, raises or dies ends none but itself: each process is a pool of its own, and where one
+    has ended, the next case has a new one.
+    """
+    idle: SimpleQueue[ProcessPoolExecutor] = SimpleQueue()
+    for _ in range(count):
+        idle.put(ProcessPoolExecutor(1, SPAWN))
 
     def measure(case: Case) -> tuple[Case, Row]:
-        worker = idle.get()
+        pool, begun = idle.get(), time.monotonic()
         try:
-            return case, worker.measure(case, limit_s)
+            return case, pool.submit(measured, case, limit_s).result()
+        except BrokenProcessPool:
+            late, pool = time.monotonic() - begun >= limit_s, ProcessPoolExecutor(1, SPAWN)
+            why = f"took more than {limit_s:.0f} s" if late else "its process died"
+            return case, {**case.about, "error": why}
         finally:
-            idle.put(worker)
+            idle.put(pool)
 
-    with ThreadPoolExecutor(count) as pool:
+    with ThreadPoolExecutor(count) as threads:
         try:
-            for done in as_completed([pool.submit(measure, case) for case in cases]):
+            for done in as_completed([threads.submit(measure, case) for case in cases]):
                 yield done.result()
         finally:  # also when nobody wants the rest any more
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in workers:
-                worker.kill()
+            threads.shutdown(cancel_futures=True)
+            while not idle.empty():
+                idle.get().shutdown()
 
 
 def interval(successes: int, n: int) -> tuple[float, float]:

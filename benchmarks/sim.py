@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import tempfile
 import time
+from argparse import Namespace
 from collections import Counter
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import get_args
 from unittest.mock import patch
 
-from benchmarks.runner import Row, options, write
+from benchmarks.runner import Row, Suite, every, options, parsed, run
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.sim.lidar import Lidar
 from turtlebag.sim.physics import Physics
@@ -90,21 +92,26 @@ def shares(world: str, robot: str, sensors: Sensors, duration: float) -> Row:
 
 def measure(world: str, robot: str, sensors: Sensors, duration: float, repeats: int) -> Row:
     """One row of the table: the fastest of some repeats, and the shares."""
+    drive(world, robot, sensors, 2.0)  # compile first
     drives = [drive(world, robot, sensors, duration) for _ in range(repeats)]
     speed = max(simulated / spent for simulated, spent in drives)
-    about = {"sensors": sensors, "world": world, "robot": robot, "simulated_s": round(drives[0][0], 1)}
-    return about | {"x_real_time": round(speed, 1)} | shares(world, robot, sensors, duration)
+    return {"simulated_s": round(drives[0][0], 1), "x_real_time": round(speed, 1)} | shares(
+        world, robot, sensors, duration
+    )
 
 
-def main() -> None:
-    parser = options(__doc__, quick="three places, 20 s of each, once")
-    parser.add_argument("--sensors", nargs="+", choices=get_args(Sensors), default=["realistic"])
-    args = parser.parse_args()
-    duration, repeats = (20.0, 1) if args.quick else (60.0, 3)
-    drive("turtlebot3_world", "burger", "realistic", 2.0)  # compile first
-    cases = [(*case, sensors) for case in (CASES[:3] if args.quick else CASES) for sensors in args.sensors]
-    write(args.out, "sim", [measure(*case, duration, repeats) for case in cases])
+def suites(args: Namespace) -> dict[str, Suite]:
+    """One table."""
+    measured = partial(measure, duration=20.0 if args.quick else 60.0, repeats=1 if args.quick else 3)
+    cases = [
+        case
+        for world, robot in CASES
+        for case in every(measured, sensors=args.sensors, world=(world,), robot=(robot,))
+    ]
+    return {"sim": Suite(cases, quick=3 * len(args.sensors), kept=False)}
 
 
 if __name__ == "__main__":
-    main()
+    parser = options(__doc__, quick="three places, 20 s of each, once")
+    parser.add_argument("--sensors", nargs="+", choices=get_args(Sensors), default=["realistic"])
+    run(parsed(parser, suites), suites)

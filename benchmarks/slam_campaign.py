@@ -32,8 +32,8 @@ from argparse import Namespace
 from collections.abc import Sequence
 
 from benchmarks.runner import Suite, options, parsed, public, run
+from benchmarks.slam_cost import COSTS, ONLINE, growth_cases, online_cases
 from benchmarks.slam_detector import by, detection, detector_cases, judged
-from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_logs import (
     COLUMNS,
     disturbed_cases,
@@ -43,8 +43,6 @@ from benchmarks.slam_logs import (
     mishap_cases,
     world_cases,
 )
-from benchmarks.slam_online import COLUMNS as ONLINE
-from benchmarks.slam_online import online_cases
 from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table, number_cases, number_table
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py", "benchmarks/known.py")
@@ -64,7 +62,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
     logs, disturbed = (log_cases(data, out), disturbed_cases(data)) if data else ([], [])
     drives = by("world", "robot", "teleop")
     made = (*SIMULATED, "tests/helpers/made_drives.py", "tests/helpers/made_logs.py")
-    grown = (*SIMULATED, "pipeline/stages/map.py", "benchmarks/slam_growth.py")
+    grown = (*SIMULATED, "pipeline/stages/map.py", "benchmarks/slam_cost.py")
     return {
         "logs": Suite(logs, (*BASICS, *COLUMNS, *ENDS), quick=99, code=MAPPER),
         "disturbed": Suite(disturbed, (*RELATIONS, *ENDS), quick=15, code=DISTURBED),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.slam_growth import there_and_back
+from benchmarks.slam_cost import there_and_back
 from tests.helpers.carmen_lines import carmen_text
 from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
 from turtlebag.datasets.carmen import parse_carmen
