@@ -7,6 +7,8 @@ import os
 import time
 from collections import Counter
 from functools import partial
+from itertools import groupby
+from pathlib import Path
 
 import pytest
 
@@ -14,9 +16,9 @@ from benchmarks import runner as frame
 from benchmarks import slam_campaign
 from benchmarks.disturb import KINDS, SCORED
 from benchmarks.numbers import counted
-from benchmarks.runner import Case, Rows, in_processes
+from benchmarks.runner import Case, Rows, every, in_processes
 from benchmarks.slam_detector import accuracy, detection, detector_cases, judged
-from benchmarks.slam_logs import drive_cases
+from benchmarks.slam_logs import BARE, MADE, MISHAPS, WORLDS, drive_cases, mishap_cases
 from benchmarks.slam_parts import NUMBERS, multiply_constant
 from turtlebag.pipeline.slam import (
     align,
@@ -28,6 +30,7 @@ from turtlebag.pipeline.slam import (
     step_constraints,
 )
 from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.sim.worlds import load_world
 
 
 def test_any_first_part_of_the_drives_has_as_many_of_each_kind():
@@ -41,6 +44,23 @@ def test_any_first_part_of_the_drives_has_as_many_of_each_kind():
         tuple(case.about[key].partition(":")[0] for key in ("world", "robot", "teleop")) for case in cases
     ]
     assert len(set(kinds[:60])) == 60
+
+
+def test_mishaps_are_ones_there_are_and_each_log_s_lidars_are_measured_together():
+    for place in BARE:
+        assert "round" in load_world(str(WORLDS / f"{place}.yaml")).routes
+    assert {kind for _, _, kinds in MISHAPS.values() for kind in kinds} <= set(KINDS)
+    cases = mishap_cases(Path())
+    assert len(cases) == len({case.name for case in cases}) == 116
+    logs = [log for log, _ in groupby(case.about["log"] for case in cases)]
+    assert logs == list(MADE)
+    assert {MADE[log][2] for log in logs[:12]} == {1}  # a first part has each once
+
+
+def test_every_combination_of_levels_is_a_case_that_says_which():
+    cases = every(dict, place=("arena", "house"), seed=range(2))
+    assert [case.name for case in cases] == ["arena 0", "arena 1", "house 0", "house 1"]
+    assert all(case.measure() == case.about for case in cases)
 
 
 def test_every_number_of_the_sensitivity_study_is_one_there_is():
