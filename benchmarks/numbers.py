@@ -11,25 +11,20 @@ from __future__ import annotations
 
 import argparse
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.runner import ROOT
+
+BASES = {"BaseModel", "Settings"}
 
 
 def counted(source: str) -> tuple[list[str], list[str]]:
     """Names of the settings and of the constants of a module; a tuple's name as often as it holds numbers."""
     settings, constants = [], []
     for node in ast.parse(source).body:
-        if isinstance(node, ast.ClassDef) and any(
-            ast.unparse(base) in ("BaseModel", "Settings") for base in node.bases
-        ):
-            settings += [
-                f"{node.name}.{ast.unparse(item.target)}"
-                for item in node.body
-                if isinstance(item, ast.AnnAssign)
-                and item.value is not None
-                and _chosen(_default(item.value))
-            ]
+        if isinstance(node, ast.ClassDef) and BASES & {ast.unparse(base) for base in node.bases}:
+            settings += [f"{node.name}.{name}" for name, default in _defaults(node) if _chosen(default)]
         elif isinstance(node, ast.Assign):
             for target in node.targets:
                 names = [ast.unparse(name) for name in getattr(target, "elts", [target])]
@@ -38,11 +33,12 @@ def counted(source: str) -> tuple[list[str], list[str]]:
     return settings, constants
 
 
-def _default(value: ast.expr) -> ast.expr:
-    """The default that `Field(...)` is given, or the value itself."""
-    if isinstance(value, ast.Call) and ast.unparse(value.func) == "Field":
-        return next((word.value for word in value.keywords if word.arg == "default"), ast.Constant(None))
-    return value
+def _defaults(settings: ast.ClassDef) -> Iterator[tuple[str, ast.expr]]:
+    """Fields and their defaults, also those that `Field(...)` is given."""
+    for item in settings.body:
+        if isinstance(item, ast.AnnAssign) and item.value is not None:
+            words = {word.arg: word.value for word in getattr(item.value, "keywords", ())}
+            yield ast.unparse(item.target), words.get("default", item.value)
 
 
 def _chosen(default: ast.expr) -> bool:
@@ -52,15 +48,15 @@ def _chosen(default: ast.expr) -> bool:
 
 def _numbers(value: ast.expr) -> int:
     """Numbers and switches in an expression of literals; `0.05**2` is one."""
-    if isinstance(value, ast.Tuple | ast.List):
-        return sum(_numbers(item) for item in value.elts)
-    if isinstance(value, ast.Call):
-        return sum(_numbers(item) for item in value.args)
-    if isinstance(value, ast.BinOp):
-        return max(_numbers(value.left), _numbers(value.right))
-    if isinstance(value, ast.UnaryOp):
-        return _numbers(value.operand)
-    return int(isinstance(value, ast.Constant) and isinstance(value.value, bool | int | float))
+    match value:
+        case ast.Tuple(elts=items) | ast.List(elts=items) | ast.Call(args=items):
+            return sum(map(_numbers, items))
+        case ast.BinOp(left=left, right=right):
+            return max(_numbers(left), _numbers(right))
+        case ast.UnaryOp(operand=operand):
+            return _numbers(operand)
+        case _:
+            return int(isinstance(value, ast.Constant) and isinstance(value.value, bool | int | float))
 
 
 def main() -> None:
