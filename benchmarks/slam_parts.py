@@ -21,7 +21,7 @@ Variants = dict[str, dict[str, Any]]
 VARIANTS: dict[str, Variants] = yaml.safe_load(Path(__file__).with_name("variants.yaml").read_text())
 CHOICES = VARIANTS["exchanged"]
 ABLATIONS = CHOICES | VARIANTS["switched_off"]
-ABLATED = ("mit-csail", "fr079", "intel", "hall-plain-1", "forest-plain-1", "office-all-1")
+ABLATED = ("mit-csail", "fr079", "intel", "hall-plain-1", "office-all-1")
 PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", "aces")
 """Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
 
