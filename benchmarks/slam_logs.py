@@ -62,9 +62,9 @@ BRISK = str(WORLDS / "brisk.yaml")
 ROUND = str(WORLDS / "round.yaml")
 FAR = {"sim.lidar.rate_hz": 5.0}
 """A Jackal's lidar, which sees 30 m far, at the rate of the others."""
-SLIP = {"sim.faults.slip": [[20.0, 25.0, 0.7, 0.7], [90.0, 95.0, 0.6, 0.0]]}
+SLIP = {"sim.faults.slip": [[20.0, 25.0, 0.7, 0.7], [90.0, 92.0, 0.3, 0.0]]}
 SILENT = {"sim.faults.scan_silent": [[35.0, 38.0], [120.0, 123.0]]}
-PEOPLE = "+clutter:1,boxes=0,movers=4"
+PEOPLE = "+clutter:1,boxes=0,movers=3"
 MISHAPS: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
     "plain": ("", {}, ()),
     "slip": ("", SLIP, ()),
