@@ -23,11 +23,12 @@ import turtlebag as tb
 from benchmarks.runner import Case, Row, held_mb
 from benchmarks.slam_logs import FAR, RADISH, by_name, mapped, public_log, read
 from benchmarks.slam_scores import scored
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import UNKNOWN
 from turtlebag.datasets.kernels import folders
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Recording, Trajectory, seconds
+from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
