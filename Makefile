@@ -162,7 +162,8 @@ test: $(READY) ## lint, and pytest beside it
 pytest: $(READY)
 	@# Three workers, because some tests wait more than they compute; each file's tests run on one, so that what
 	@# they share is made once; and bytecode is kept, or each of the many processes would compile all sources.
-	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+	@# Each has one thread, as there are more workers than cores.
+	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 browser: ## find Chromium for the browser test, or install it (Debian)
 	@command -v chromium chromium-browser google-chrome || { apt-get update -qq && apt-get install -y -qq chromium; }
