@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -33,15 +33,19 @@ class Head(Protocol):
         ...
 
 
-class Sweep:
-    """Collects the poses of the control steps and measures whenever a turn is complete.
+Lidar = TypeVar("Lidar", bound=Head)
 
-    The first turn begins at step `first`, each further one where the last one ended. A lidar that is not
-    `turning` takes all its beams at once, every so many steps.
+
+class Sweep(Generic[Lidar]):
+    """The lidar, and the turn that it is in.
+
+    Collects the poses of the control steps and measures whenever a turn is complete. The first turn begins at
+    step `first`, each further one where the last one ended. A lidar that is not `turning` takes all its
+    beams at once, every so many steps.
     """
 
-    def __init__(self, lidar: Head, steps: int, first: int = 0, *, turning: bool = True) -> None:
-        self._lidar, self._steps, self._turning = lidar, steps, turning
+    def __init__(self, lidar: Lidar, steps: int, first: int = 0, *, turning: bool = True) -> None:
+        self.lidar, self._steps, self._turning = lidar, steps, turning
         self._poses: list[Array] = []
         self._first = first
         self._carried = False
@@ -56,7 +60,7 @@ class Sweep:
         if not self._turning:
             if step % self._steps:
                 return None
-            measured = self._lidar.measure(pose[None], 0.0, 0.0)
+            measured = self.lidar.measure(pose[None], 0.0, 0.0)
             return Turn(stamp_of(step), measured, pose)
         self._poses.append(pose)
         if step < self._end:
@@ -65,7 +69,7 @@ class Sweep:
         begin, late = self._begin - self._first, self._delay_s * CONTROL_HZ
         turn = None
         # Measured even when there will be no scan, so that what is drawn does not depend on it.
-        measured = self._lidar.measure(rows, begin, self._end - self._first)
+        measured = self.lidar.measure(rows, begin, self._end - self._first)
         if not self._carried:
             turn = Turn(stamp_of(self._begin + late), measured, _between(rows, begin + late))
         self._carried = False
@@ -81,7 +85,7 @@ class Sweep:
         self._carried = True
 
     def _begin_turn(self, begin: float) -> None:
-        share, self._delay_s = self._lidar.turn()
+        share, self._delay_s = self.lidar.turn()
         self._begin = begin
         # No more than one turn ends within a control step.
         self._end = begin + max(self._steps * share, 1.0)

@@ -130,16 +130,17 @@ class Simulator:
             around.require_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
         self.surroundings = around
         config, turning = self.config.lidar, self.config.lidar.turning
-        self._lidar = Lidar(self.world.shapes, self.robot, config, stream(self.seed, "lidar"))
+        lidar = Lidar(self.world.shapes, self.robot, config, stream(self.seed, "lidar"))
         steps_per_scan = round(CONTROL_HZ / (config.rate_hz or self.robot.lidar.rate_hz))
-        self._sweep = Sweep(self._lidar, steps_per_scan, step, turning=turning)
+        self._sweep = Sweep(lidar, steps_per_scan, step, turning=turning)
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"))
-        self._lidar3d, mount = None, self.robot.lidar3d
+        self._sweep3d: Sweep[Lidar3d] | None = None
+        mount = self.robot.lidar3d
         if mount is not None:
             sigma = 0.0 if config.noise == "none" else GAZEBO_SIGMA if config.sigma is None else config.sigma
             moving = [mover.solid for mover in self.world.movers]
-            self._lidar3d = Lidar3d(self.world.shapes, mount, sigma, stream(self.seed, "lidar3d"), moving)
-            self._sweep3d = Sweep(self._lidar3d, round(CONTROL_HZ / mount.rate_hz), step, turning=turning)
+            lidar3d = Lidar3d(self.world.shapes, mount, sigma, stream(self.seed, "lidar3d"), moving)
+            self._sweep3d = Sweep(lidar3d, round(CONTROL_HZ / mount.rate_hz), step, turning=turning)
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), step)
         self._board = Board(self.robot, self.config.odometry, self.seed, start)
         self._physics.reset(start, [one.position for one in around.movers])
@@ -177,9 +178,9 @@ class Simulator:
         """Add a solid to the floor; InputError if it would touch the robot."""
         self.surroundings.drop(solid, self.truth.T_world_base)
         self._physics.drop(solid)
-        for lidar in (self._lidar, self._lidar3d):
-            if lidar is not None:
-                lidar.surround(self.surroundings.solids)
+        for sweep in (self._sweep, self._sweep3d):
+            if sweep is not None:
+                sweep.lidar.surround(self.surroundings.solids)
 
     def clearance(self) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
@@ -192,17 +193,18 @@ class Simulator:
             return
         for number, one in enumerate(movers):
             self._physics.place(number, one.position, one.velocity)
-        self._lidar.note_movers(self.surroundings.visible_movers, self._sweep.steps_before(self._step))
-        if self._lidar3d is not None:
+        earlier = self._sweep.steps_before(self._step)
+        self._sweep.lidar.note_movers(self.surroundings.visible_movers, earlier)
+        if self._sweep3d is not None:
             earlier = self._sweep3d.steps_before(self._step)
-            self._lidar3d.note_movers([one.position.copy() for one in movers], earlier)
+            self._sweep3d.lidar.note_movers([one.position.copy() for one in movers], earlier)
 
     def _put_down(self, T_world_base: SE2) -> None:
         """Carry the robot elsewhere; of the sweep under way there is no scan."""
         self._physics.put_down(T_world_base)
-        self._sweep.put_down(T_world_base.xyt)
-        if self._lidar3d is not None:
-            self._sweep3d.put_down(T_world_base.xyt)
+        for sweep in (self._sweep, self._sweep3d):
+            if sweep is not None:
+                sweep.put_down(T_world_base.xyt)
 
     def _observe(self, touched: Iterable[int]) -> Observation:
         stamp = stamp_of(self._step)
@@ -225,7 +227,7 @@ class Simulator:
         """The scan that is delivered in this step, usually the one whose turn ended in it."""
         scan, first, done = None, pose, self._sweep.add(self._step, pose)
         if done is not None:
-            scan, first = Scan(done.stamp_ns, done.measured, self._lidar.spec), done.pose_at_stamp
+            scan, first = Scan(done.stamp_ns, done.measured, self._sweep.lidar.spec), done.pose_at_stamp
         delivered, truth = self._faults.scan(self._step, scan, SE2(first))
         if delivered is not None:
             self.scan_truth = truth
@@ -233,5 +235,5 @@ class Simulator:
 
     def _cloud_on(self, pose: Array) -> tuple[int, Cloud] | None:
         """Stamp and cloud of the 3D lidar, if there is one, when its sweep ends."""
-        done = None if self._lidar3d is None else self._sweep3d.add(self._step, pose)
+        done = None if self._sweep3d is None else self._sweep3d.add(self._step, pose)
         return None if done is None else (done.stamp_ns, done.measured)
