@@ -272,10 +272,14 @@ def main() -> None:
     kept = Path("data/benchmarks/maps")
     parser.add_argument("--maps", type=Path, default=kept, metavar="DIR", help="folder that keeps the maps")
     args = parsed(parser, suites)
+    named = known(args)
+    for name in args.suites:
+        if args.sensors == "clean" and named[name].sensors != "clean":
+            parser.error(f"{name!r} has realistic sensors, its clean ones are {f'{name}, clean'!r}")
     if args.replay is not None:
-        raise SystemExit(replay(args, known(args)[args.suites[0]]))
+        raise SystemExit(replay(args, named[args.suites[0]]))
     run(args, suites)
-    rows = {name: Rows(rows_file(args.out, name), keep=True).all for name in known(args)}
+    rows = {name: Rows(rows_file(args.out, name), keep=True).all for name in named}
     write(args.out, "navigate", [summary(name, part) for name, part in rows.items() if part])
     print("\n".join(failures([row for part in rows.values() for row in part])))
 

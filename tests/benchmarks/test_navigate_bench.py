@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import navigate_cases as cases
 from benchmarks.drives import Maps
-from benchmarks.navigate import about, failures, own_contacts, row_of, scenarios, spans, summary
+from benchmarks.navigate import about, failures, main, own_contacts, row_of, scenarios, spans, summary
 from benchmarks.runner import Rows, interval
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLogBuilder
@@ -143,6 +143,15 @@ def test_an_exploration_that_saw_too_little_failed_whatever_it_touched_below_the
 def test_seeds_are_named_as_runs():
     assert spans([3, 1, 2, 10, 11]) == "1..3, 10..11"
     assert spans([7]) == "7..7"
+
+
+def test_a_scenario_with_other_sensors_than_asked_is_refused(tmp_path, monkeypatch, capsys):
+    words = ["navigate", "dwa, arena", "--sensors", "clean", "--out", str(tmp_path / "out")]
+    monkeypatch.setattr("sys.argv", words)
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "its clean ones are 'dwa, arena, clean'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_campaign_goes_on_where_it_was(tmp_path):
