@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.bags.scans import Geometry, on_one_grid
 from turtlebag.datasets.bags.units import FAR_M, driven_in_millimetres, ranges_in_millimetres, stands_still
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.returns import no_return_value
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.trajectories import stamp_from_text
@@ -75,7 +76,7 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
     values = _in_metres(values, stamps, notes)
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
-        notes.append(f"stamps go back {backwards} times; file order kept")
+        notes.append(f"stamps go back {counted(backwards, 'time')}; file order kept")
     poses_lidar, poses_base = SE2.from_array(values[:, n : n + 3]), SE2.from_array(values[:, n + 3 :])
     if T_base_lidar is None:
         T_base_lidar = _laser_pose(poses_base, poses_lidar, params, notes)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from turtlebag.datasets.plurals import counted
 from turtlebag.reports.drawing import draw_localise, draw_map, draw_plan, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.interactive_map import InteractiveMap, interactive_map
@@ -17,7 +18,6 @@ from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.numbers import (
     DASH,
     Number,
-    counted,
     files_of,
     lookup,
     other_values,

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.plurals import counted
 from turtlebag.reports.content import collision_count, stage_metrics, verdict
 from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.navigation import truly_reached
-from turtlebag.reports.numbers import counted, lookup, shown
+from turtlebag.reports.numbers import lookup, shown
 from turtlebag.reports.stages import ALIASES, KINDS, Stage, load_stage, read_json
 
 # (head, path in the metrics, unit)

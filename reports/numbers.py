@@ -99,11 +99,6 @@ def shown(value: Any, unit: str) -> str:
     return f"{text}{gap}{symbol}".replace("-", "\u2212")
 
 
-def counted(count: int, noun: str) -> str:
-    """`1 map`, `2 maps`."""
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
 def lookup(metrics: Mapping[str, object], path: str) -> Any:
     """The value at a dotted path; None when a step is missing."""
     node: Any = metrics

@@ -10,12 +10,13 @@ from importlib.resources import files
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from turtlebag.datasets.plurals import counted
 from turtlebag.reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
 from turtlebag.reports.figures import style
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.metric_specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
 from turtlebag.reports.metrics.navigation import truly_reached
-from turtlebag.reports.numbers import counted, lookup, shown
+from turtlebag.reports.numbers import lookup, shown
 from turtlebag.reports.provenance import packages, recipe
 from turtlebag.reports.stages import Group
 

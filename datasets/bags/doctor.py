@@ -19,6 +19,7 @@ from turtlebag.datasets.bags.units import (
     ranges_in_millimetres,
     stands_still,
 )
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps
 
@@ -65,18 +66,18 @@ def _backwards(found: Survey) -> Iterator[Finding]:
         steps = np.diff(stamps)
         if (steps < 0).any():
             count, worst = int((steps < 0).sum()), float(steps.min()) * -1e-9
-            what = f"{name}: stamps go back {count} times, by up to {worst:.3f} s"
+            what = f"{name}: stamps go back {counted(count, 'time')}, by up to {worst:.3f} s"
             breaks = (
                 "TF buffers are cleared, and message filters drop everything older than what they have seen"
             )
             yield Finding("error", "time goes backwards", what, breaks)
         elif (steps == 0).any():
-            what = f"{name}: {int((steps == 0).sum())} messages have the stamp of the previous one"
+            what = f"{name}: {counted(int((steps == 0).sum()), 'message')} with the stamp of the one before"
             yield Finding("warning", "repeated stamps", what, "interpolation between them is undefined")
     for link, times in found.link_stamps.items():
         count = int((np.diff(np.array(times, dtype=np.int64)) < 0).sum())
         if count:
-            what = f"/tf: {link[0]} -> {link[1]} goes back in time {count} times"
+            what = f"/tf: {link[0]} -> {link[1]} goes back in time {counted(count, 'time')}"
             yield Finding("error", "time goes backwards", what, "tf2 clears its buffer and lookups fail")
 
 
@@ -114,7 +115,9 @@ def _gap(name: str, times: list[int], breaks: str) -> Iterator[Finding]:
     if longest < limit:
         return
     count = int((steps >= limit).sum())
-    what = f"{name}: {count} gaps, the longest {longest * 1e-9:.2f} s (usually {usual * 1e-9:.3f} s)"
+    what = (
+        f"{name}: {counted(count, 'gap')}, the longest {longest * 1e-9:.2f} s (usually {usual * 1e-9:.3f} s)"
+    )
     yield Finding("warning", "gaps", what, breaks)
 
 

@@ -13,6 +13,7 @@ from turtlebag.datasets.bags.frames import BASES, FrameTree
 from turtlebag.datasets.bags.streams import Streams
 from turtlebag.datasets.bags.units import ARM_M, CLOCK_NS, FAR_M, driven_in_millimetres, stands_still
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory
 
@@ -100,7 +101,7 @@ def in_file_order(stamps: Sequence[int], log_times: Stamps, name: str, notes: li
     """The stamps of scans, `running`; a note says how often they go back."""
     found = running(np.array(stamps, dtype=np.int64), log_times, name, notes)
     if backwards := int(np.count_nonzero(np.diff(found) < 0)):
-        notes.append(f"{name}: stamps go back {backwards} times; file order kept")
+        notes.append(f"{name}: stamps go back {counted(backwards, 'time')}; file order kept")
     return found
 
 
@@ -108,7 +109,7 @@ def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Traj
     """Poses in order of their stamps, each stamp once."""
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
-        notes.append(f"{name}: stamps go back {backwards} times; sorted")
+        notes.append(f"{name}: stamps go back {counted(backwards, 'time')}; sorted")
     stamps, first = np.unique(stamps, return_index=True)
     return Trajectory(stamps, SE2.from_array(xyt[first]))
 

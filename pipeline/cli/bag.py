@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.cli.arguments import REPEATED, add_output, epilog, option, output
-from turtlebag.pipeline.terminal.messages import log, log_notes, number_of, print_table
+from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
@@ -94,7 +95,7 @@ def _print_log(log_read: Recording) -> None:
 
 
 def _print_info(info: BagInfo) -> None:
-    print(f"{info.path}  ({info.kind}, {number_of(len(info.files), 'file')})")
+    print(f"{info.path}  ({info.kind}, {counted(len(info.files), 'file')})")
     print(
         f"{info.count} messages, {info.duration():.2f} s, "
         f"from {info.start_ns * 1e-9:.3f} to {info.end_ns * 1e-9:.3f} s"
@@ -118,8 +119,8 @@ def _doctor(args: argparse.Namespace) -> int:
         print(f"{finding.severity}: {finding.check}: {finding.what}")
         print(f"    breaks: {finding.breaks}")
     errors = sum(finding.severity == "error" for finding in findings)
-    warnings = number_of(len(findings) - errors, "warning")
-    print(f"{number_of(errors, 'error')}, {warnings}" if findings else "no defect found")
+    warnings = counted(len(findings) - errors, "warning")
+    print(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
     return 1 if errors else 0
 
 
@@ -156,7 +157,7 @@ def _recover(args: argparse.Namespace) -> int:
         out.finish(folder, "bag recover", {"bag": args.bag})
     log_notes(saved.notes)
     span = (saved.end_ns - saved.start_ns) * 1e-9
-    log.info(f"saved {number_of(saved.messages, 'message')} over {span:.2f} s -> {args.out}")
+    log.info(f"saved {counted(saved.messages, 'message')} over {span:.2f} s -> {args.out}")
     return 0
 
 
@@ -183,7 +184,7 @@ def _convert(args: argparse.Namespace) -> int:
             convert.require_messages(args.bag, count, notes)
             out.finish(folder, "bag convert", {"bag": args.bag})
     log_notes(notes)
-    log.info(f"{number_of(count, 'message')} -> {args.out}")
+    log.info(f"{counted(count, 'message')} -> {args.out}")
     return 0
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.cli.arguments import add_output, option, output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
-from turtlebag.pipeline.terminal.messages import number_of, print_table
+from turtlebag.pipeline.terminal.messages import print_table
 
 if TYPE_CHECKING:
     from turtlebag.reports.compare import Comparison
@@ -71,7 +72,7 @@ def _print_outputs(found: Comparison) -> None:
         print(f"{key}: {one} -> {other}")
     rows = [(row.label, row.a, row.b, row.difference, row.relative) for row in found.rows]
     print_table([("", "A", "B", "B - A", ""), *rows] if rows else [])
-    print(f"{number_of(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
+    print(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
 
 
 def _print_systems(found: SystemComparison) -> None:

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from itertools import groupby
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.navigation.takeover import CommandOwner
-from turtlebag.pipeline.terminal.messages import Simulated, length, number_of
+from turtlebag.pipeline.terminal.messages import Simulated, length
 from turtlebag.planners.tasks.avoid import in_words
 from turtlebag.planners.tasks.patrol import GoalOutcome, GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -99,4 +100,4 @@ def _collisions(visible: int, low: int) -> str:
     if not visible and not low:
         return "no collisions"
     where = f"{visible} visible to the lidar, {low} below its plane"
-    return f"{number_of(visible + low, 'collision')} ({where})"
+    return f"{counted(visible + low, 'collision')} ({where})"

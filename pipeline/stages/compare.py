@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from turtlebag.datasets.outputs import Output
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured, ours_of
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
 from turtlebag.reports.content import BAD, GOOD
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.numbers import counted
 from turtlebag.reports.page import fill
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs

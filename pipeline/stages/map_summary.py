@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.types import Recording, Recording3D
 from turtlebag.pipeline.slam.turn_comparison import delay_metrics
-from turtlebag.pipeline.terminal.messages import length, log, number_of
+from turtlebag.pipeline.terminal.messages import length, log
 
 if TYPE_CHECKING:
     from turtlebag.pipeline.slam.slam import SlamResult
@@ -71,8 +72,8 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
     """The lines of a map's metrics and of the folder it was written to."""
     loops = metrics["loops"]
     yield (
-        f"{verdict_of(metrics)} map of {number_of(metrics['scans'], 'scan')} "
-        f"({number_of(metrics['keyframes'], 'key scan')}, "
+        f"{verdict_of(metrics)} map of {counted(metrics['scans'], 'scan')} "
+        f"({counted(metrics['keyframes'], 'key scan')}, "
         f"{loops['accepted']} of {loops['proposed']} loop candidates accepted) in {seconds:.1f} s"
     )
     if metrics["self_check"]["revisits"] == 0:

@@ -10,6 +10,7 @@ import numpy as np
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.navigation.drivers import make_avoider, make_explorer, make_mapless
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
@@ -18,7 +19,6 @@ from turtlebag.pipeline.navigation.setup import DEFAULT_EXPLORE_S, MAX_SIMULATED
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.pilot import Task, WiggleDriver, changes_only
 from turtlebag.pipeline.studio.run import LoadedMap, Run
-from turtlebag.pipeline.terminal.messages import number_of
 from turtlebag.planners.costmap import Costmap, costmap_from_grid, polygon_mask
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -199,7 +199,7 @@ def keepout(run: Run, action: inputs.Keepout) -> str:
                 raise InputError(f"keepout {number}: outside the map; draw it on the map")
         run.pilot.keep_out(costmap)
     run.keepout = outlines
-    return number_of(len(outlines), "keep-out area")
+    return counted(len(outlines), "keep-out area")
 
 
 ACTIONS: dict[str, Callable[[Run, Any], str]] = {

@@ -204,11 +204,6 @@ def length(metres: float) -> str:
     return f"{metres * 100:.{2 if metres < 0.1 else 1}f} cm"
 
 
-def number_of(count: int, what: str) -> str:
-    """`1 error`, `2 errors`."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
-
-
 def print_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
     """Print rows as a table: the columns `left` (negative ones from the end) are left-aligned, the others
     right-aligned."""

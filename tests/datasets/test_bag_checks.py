@@ -71,7 +71,7 @@ def test_stamps_that_go_back_or_repeat_are_counted():
     )
     assert found == [
         ("error", "time goes backwards", "/a: stamps go back 2 times, by up to 2.500 s"),
-        ("warning", "repeated stamps", "/b: 2 messages have the stamp of the previous one"),
+        ("warning", "repeated stamps", "/b: 2 messages with the stamp of the one before"),
         ("error", "time goes backwards", "/tf: a -> b goes back in time 2 times"),
     ]
 
@@ -100,7 +100,7 @@ def test_a_gap_is_five_usual_steps_and_three_tenths_of_a_second():
         found = told(doctor._gap("/x", times[::-1], "y"))
         assert len(found) == gaps
         if gaps:
-            what = f"/x: 1 gaps, the longest {longest * 1e-9:.2f} s (usually {usual * 1e-9:.3f} s)"
+            what = f"/x: 1 gap, the longest {longest * 1e-9:.2f} s (usually {usual * 1e-9:.3f} s)"
             assert found == [("warning", "gaps", what)]
     assert told(doctor._gap("/x", [0, 1, 10 * S], "y")) == []
     many = np.cumsum([0, *[10**8] * 9, S, S, 2 * S]).tolist()

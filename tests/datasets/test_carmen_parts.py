@@ -106,7 +106,7 @@ def test_a_log_is_read_line_by_line():
     assert found.notes[1:4] == (
         "4 damaged lines skipped, the first is line 6",
         "1 rear laser scans (RLASER) not used",
-        "stamps go back 1 times; file order kept",
+        "stamps go back 1 time; file order kept",
     )
     assert (found.lidar.range_min, found.lidar.range_max, found.lidar.n_beams) == (0.0, 4.0, 3)
     told = parse_carmen(content, Path("a"), T_base_lidar=SE2.from_xyt(1.0, 2.0, 3.0), notes=[])
