@@ -17,15 +17,15 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.kiss import LidarOdometry
 from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered, thinned
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
-from turtlebag.pipeline.slam3d.surfels import KERNEL_M, Fit, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Surfels, fit, make_surfels
 from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M, Sweep
 
 FrontEnd3d = Literal["surfels", "kiss_icp", "odometry"]
+LONGEST_STEP_S = 1.0
+"""Constant velocity is not believed for longer."""
 KEY_VOXELS, KEY_TURN_RAD, WINDOW = 1.5, 0.35, 15
 """A key cloud is taken after this way or turn; the last ones make the local map."""
 KISS_VOXELS = 1.5
@@ -116,7 +116,7 @@ class Tracker:
         if index == 0:
             return [self.track.T[0]]
         before = self.track.T[index - 1]
-        dt = min(max(self._seconds[index] - self._seconds[index - 1], 0.0), GAP_S)
+        dt = min(max(self._seconds[index] - self._seconds[index - 1], 0.0), LONGEST_STEP_S)
         steady = before @ se3.exp(self._twist * dt)
         T_odom = self.track.T_odom
         if T_odom is None:
@@ -165,7 +165,7 @@ class Tracker:
         dt = self._seconds[index] - self._seconds[index - 1] if index else 0.0
         if twist is not None:
             self._twist = twist
-        elif 0.0 < dt <= GAP_S:
+        elif 0.0 < dt <= LONGEST_STEP_S:
             self._twist = se3.log(se3.inverse(self.track.T[index - 1]) @ self.track.T[index]) / dt
         self.track.twists[index] = self._twist
 

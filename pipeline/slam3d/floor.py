@@ -11,7 +11,7 @@ from turtlebag.datasets.seeds import stream
 
 MAX_TILT_RAD = 0.5
 NEAR_M = 0.05
-"""Points this near to a plane belong to it; half as near once it is refined."""
+"""Points this near to a plane belong to it."""
 SECTORS, RINGS = 36, 6
 MIN_SHARE, MAX_BELOW = 0.35, 0.08
 """Of the lowest points all around: how many lie in the floor, and how many may lie below."""
@@ -62,7 +62,7 @@ def _lowest(points: Array, reach: Array, reach_m: float) -> Array:
 
 
 def _refined(points: Array, plane: Array) -> Floor:
-    for near in (NEAR_M, NEAR_M, 0.5 * NEAR_M, 0.5 * NEAR_M):
+    for near in (NEAR_M, NEAR_M, 0.6 * NEAR_M, 0.6 * NEAR_M):
         inliers = points[np.abs(points @ plane[:3] + plane[3]) < near]
         mean = inliers.mean(axis=0)
         normal = np.linalg.eigh(np.cov((inliers - mean).T))[1][:, 0]

@@ -8,11 +8,11 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP, NEIGHBOURS
+from turtlebag.pipeline.slam.align import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.refine import RefineConfig, in_rounds, overlapping_pairs
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
-from turtlebag.pipeline.slam3d.surfels import GATE_VOXELS, INFLATION, KERNEL_M, observable
+from turtlebag.pipeline.slam3d.surfels import GATE_VOXELS, INFLATION, KERNEL_M, LEAST_OVERLAP, observable
 
 RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""

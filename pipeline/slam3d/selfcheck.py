@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import residuals
 from turtlebag.pipeline.slam.selfcheck import APART_KEYS, MOST_WRONG
 from turtlebag.pipeline.slam.selfcheck_verdict import Verdict
 from turtlebag.pipeline.slam.track_breaks import gaps_between
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
+from turtlebag.pipeline.slam3d.surfels import LEAST_OVERLAP
 
 MOST_LOST, MOST_EMPTY = 0.02, 0.2
 """Shares of clouds that fit nothing, of clouds with too few points; of revisits no more than MOST_WRONG may

@@ -15,7 +15,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
-from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP
+from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_closure import Progress
@@ -31,7 +31,7 @@ from turtlebag.pipeline.slam3d.refine import refine, reregistered
 from turtlebag.pipeline.slam3d.selfcheck import SelfCheck3d, check_map
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup, find_setup
 from turtlebag.pipeline.slam3d.slices import SLICE_REACH_M, SliceConfig, SliceGrid
-from turtlebag.pipeline.slam3d.surfels import INFLATION, observable
+from turtlebag.pipeline.slam3d.surfels import INFLATION, LEAST_OVERLAP, observable
 from turtlebag.pipeline.slam3d.sweeps import Sweep, sweeps_of
 
 HOLD = np.array([0.1, 0.1, 0.2, 0.3, 0.3, 0.3])

@@ -137,6 +137,8 @@ class Fit:
     motion: Array | None = None
 
 
+LEAST_OVERLAP = 0.35
+"""A cloud of which less lies on a place does not fit it."""
 KERNEL_M, GATE_VOXELS = 0.03, 0.7
 """Width of the Geman-McClure weight of a distance; the largest distance that counts once a pose is nearly
 right."""
