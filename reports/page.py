@@ -76,7 +76,7 @@ def _text(name: str) -> str:
 
 @cache
 def _environment() -> Environment:
-    """Compiling the templates takes longer than filling them."""
+    """The templates, compiled once: that takes longer than filling them."""
     environment = Environment(
         loader=FunctionLoader(_text),
         autoescape=True,

@@ -29,7 +29,7 @@ CANDIDATES = 20000
 # Shaking after each stage: standard deviations [m and rad], and the particles left for the next.
 SHAKES = (0.10, 0.05, 0.03)
 STAGE_PARTICLES = 3000
-# Standard deviations of a search about a pose [m, m, rad].
+# Standard deviations of a search about a pose [m, m, rad]: those of an initial pose by default.
 AROUND = (0.5, 0.5, math.pi / 12.0)
 # Each weighing is flattened until this share of the candidates still counts; fewer together are no place.
 LEAST_EFFECTIVE = 0.02

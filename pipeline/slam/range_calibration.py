@@ -23,7 +23,6 @@ from turtlebag.datasets.types import NOTHING_M, Recording
 from turtlebag.pipeline.slam.align import NEIGHBOURS, STEP_INFLATION
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, Limits, partner_line, relative_pose
-from turtlebag.pipeline.slam.pose_graph import WEAK
 from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
 
 # Lidars that see farther than this [m] time the light: nothing of theirs grows with the square of the range.
@@ -85,7 +84,8 @@ class RangeCalibration:
         # A radial map stretches along and across the ray; normals go by the inverse of that.
         along = (clouds.normals * ray).sum(axis=1)[:, None] * ray
         normals = along / stretch[:, :1] + (clouds.normals - along) / stretch[:, 1:]
-        normals = normals / np.maximum(np.linalg.norm(normals, axis=1), WEAK)[:, None]
+        length = np.linalg.norm(normals, axis=1)
+        normals = normals / np.where(length > 0.0, length, 1.0)[:, None]
         return clouds._replace(
             points=(clouds.origin + points).astype(clouds.points.dtype),
             centers=(clouds.origin + centers).astype(clouds.centers.dtype),
