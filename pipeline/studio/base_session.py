@@ -65,6 +65,7 @@ class BaseSession(ABC):
             line = self._done(entry)
         except OSError as error:
             raise InputError(f"{entry.do}: {error.filename or self._folder}: {error.strerror}") from None
+        self.ended = entry.do == "end"
         if entry.do not in DRIVING:
             self._journal.action(self.stamp_ns, entry)
         if line:

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Scan, Trajectory
+from turtlebag.datasets.types import Scan, Stamps, Trajectory
 from turtlebag.pipeline.slam.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
 from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
@@ -26,12 +25,12 @@ from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
 from turtlebag.pipeline.studio.setup import BagSetup
-from turtlebag.pipeline.studio.view import NO_PATH, BagMarks, LoopMarks, MapLayer, View
-from turtlebag.pipeline.studio.view import Path as ShownPath
+from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.visuals import Cached, Trail
 from turtlebag.sim.robots import stamp_of
 
 EDITS = "edits.yaml"
+NO_KEYS = np.zeros(0, dtype=np.int64)
 DRAWN_EVERY = 60
 """Ticks between map updates while mapping: two seconds of the bag."""
 ROUNDED_S = 0.1
@@ -58,27 +57,49 @@ class Drawn:
     edits: Edits | None = None
 
 
+class Playhead:
+    """Where a bag is played: `position_ns` after its start, and the newest scan by then, -1 for none."""
+
+    def __init__(self, stamps_ns: Stamps) -> None:
+        # logs whose clock goes back keep their order
+        self._at_ns = np.maximum.accumulate(stamps_ns) - stamps_ns[0]
+        self.end_ns = int(self._at_ns[-1])
+        self.position_ns, self.scan = 0, -1
+
+    @property
+    def at_end(self) -> bool:
+        """Whether there is no further scan."""
+        return self.scan == len(self._at_ns) - 1
+
+    def forward(self, position_ns: int) -> Iterator[int]:
+        """The scans up to there, one by one."""
+        self.position_ns = min(position_ns, self.end_ns)
+        while not self.at_end and self._at_ns[self.scan + 1] <= self.position_ns:
+            self.scan += 1
+            yield self.scan
+
+    def seek(self, position_ns: int) -> Iterator[int]:
+        """Play from there on: the scan there, as in `forward`."""
+        self.scan = int(np.searchsorted(self._at_ns, min(position_ns, self.end_ns), side="right")) - 2
+        return self.forward(position_ns)
+
+
 class Playback(BaseSession):
     """Plays a bag. InputError for one that cannot be mapped."""
 
     def __init__(self, setup: BagSetup, folder: Path, say: Callable[[str], None]) -> None:
         self._log, self.scene = setup.recording, setup.scene()
         super().__init__(setup.header(), folder, say)
-        # logs whose clock goes back keep their order
-        self._at_ns = np.maximum.accumulate(self._log.stamps_ns) - self._log.stamps_ns[0]
-        self._end_ns = int(self._at_ns[-1])
+        self._head = Playhead(self._log.stamps_ns)
         self._edits = Edits()
-        self._trails = {"odom": Trail(), "slam": Trail()}
-        self._slam_path = NO_PATH
         self._online: Online | None = None
         self._drawn: Drawn | None = None
         self._built: Drawn | None = None
         """The last map of the whole bag."""
-        self._loop: LoopMarks | None = None
-        self._cached = Cached()
         self._interrupted = False
-        self._position_ns = 0
-        self._scan = -1
+        self._loop: LoopMarks | None = None
+        self._trails = {"odom": Trail(), "slam": Trail()}
+        self._cached = Cached()
         for note in self._log.notes:
             self._events.add(0, note)
 
@@ -89,12 +110,12 @@ class Playback(BaseSession):
 
     @property
     def _told_ns(self) -> int:
-        return self._position_ns
+        return self._head.position_ns
 
     @property
     def idle(self) -> bool:
         """Whether time stands still: the bag is at its end."""
-        return self._scan == len(self._log) - 1
+        return self._head.at_end
 
     def tick(self) -> None:
         """One control period of the bag."""
@@ -102,11 +123,11 @@ class Playback(BaseSession):
             return
         self._journal.tick(self.stamp_ns, None)
         self._step += 1
-        self._play_to(self._position_ns + self.period_ns)
+        self._play(self._head.forward(self._head.position_ns + self.period_ns))
         if self.idle:
             self._draw()
-            self._events.add(self._position_ns, "the bag is at its end")
-        elif self._online is not None and self._step % DRAWN_EVERY == 0:
+            self._events.add(self._told_ns, "the bag is at its end")
+        elif self._step % DRAWN_EVERY == 0:
             self._draw()
 
     def interrupt(self) -> None:
@@ -125,60 +146,51 @@ class Playback(BaseSession):
             "task": "studio",
             "time_s": round(seconds(self.stamp_ns), 6),
             "scans": len(self._log),
-            "played": self._scan + 1,
+            "played": self._head.scan + 1,
         }
 
     def _done(self, entry: inputs.Input) -> str:
-        if isinstance(entry, inputs.Plain):
-            return self._plain(entry.do)
-        if isinstance(entry, inputs.Seek):
-            return self._seek(entry.t)
-        if isinstance(entry, inputs.Save) and entry.do == "map_save":
-            return self._map_save(entry.name)
-        if isinstance(entry, inputs.LoopAdd):
-            return self._add(entry)
-        if isinstance(entry, inputs.Scans):
-            return self._show(entry) if entry.do == "loop_show" else self._reject(entry)
-        raise InputError(f"{entry.do}: not possible while a bag is played; there is no robot")
-
-    def _plain(self, do: str) -> str:
-        match do:
-            case "stop" | "release":
+        match entry:
+            case inputs.Plain(do="stop" | "release"):
                 return ""
-            case "map_start":
+            case inputs.Plain(do="map_start"):
                 return self._map_start()
-            case "map_stop":
+            case inputs.Plain(do="map_stop"):
                 return self._map_stop()
-            case "map_build":
+            case inputs.Plain(do="map_build"):
                 return self._build()
-            case "edits_clear":
+            case inputs.Save(do="map_save"):
+                return self._map_save(entry.name)
+            case inputs.Plain(do="edits_clear"):
                 return self._edited(Edits(), "loop edits cleared")
-            case "reset":
+            case inputs.LoopAdd():
+                return self._add(entry)
+            case inputs.Scans(do="loop_show"):
+                return self._show(entry)
+            case inputs.Scans():
+                return self._reject(entry)
+            case inputs.Seek():
+                return self._seek(entry.t)
+            case inputs.Plain(do="reset"):
                 return self._seek(0.0)
-            case "end":
-                self.ended = True
+            case inputs.Plain(do="end"):
                 return "the session is over"
-        raise InputError(f"{do}: not possible while a bag is played; there is no robot")
+        raise InputError(f"{entry.do}: not possible while a bag is played; there is no robot")
 
     # Where in the bag
 
     def _seek(self, t: float) -> str:
         """Play from there on; the online mapper stops, because it has not seen the part in between."""
-        if t > seconds(self._end_ns) + ROUNDED_S:
-            raise InputError(f"seek: the bag ends after {seconds(self._end_ns):.1f} s")
+        end_s = seconds(self._head.end_ns)
+        if t > end_s + ROUNDED_S:
+            raise InputError(f"seek: the bag ends after {end_s:.1f} s")
         self._online = None
-        for trail in self._trails.values():
-            trail.clear()
-        self._position_ns = min(nanoseconds(t), self._end_ns)
-        self._scan = int(np.searchsorted(self._at_ns, self._position_ns, side="right")) - 2
-        self._play_to(self._position_ns)
+        self._trails["odom"].clear()
+        self._play(self._head.seek(nanoseconds(t)))
         return ""
 
-    def _play_to(self, position_ns: int) -> None:
-        """All scans up to there."""
-        self._position_ns = min(position_ns, self._end_ns)
-        while self._scan < len(self._log) - 1 and self._at_ns[self._scan + 1] <= self._position_ns:
-            self._scan += 1
+    def _play(self, scans: Iterable[int]) -> None:
+        for k in scans:
             if self._online is not None:
                 mapper, (scan, odometry) = self._online.mapper, next(self._online.waiting)
                 jumps = len(mapper.jumps)
@@ -188,7 +200,7 @@ class Playback(BaseSession):
                 else:
                     self._trails["slam"].add(T_map_base.xy)
             if self._log.T_odom_base is not None:
-                self._trails["odom"].add(self._log.T_odom_base[self._scan].xy)
+                self._trails["odom"].add(self._log.T_odom_base[k].xy)
 
     # Mapping
 
@@ -197,7 +209,7 @@ class Playback(BaseSession):
             raise InputError("map_start: mapping is already running")
         if self.idle:
             raise InputError("map_start: end of the bag; go back first")
-        mapper, first = Mapper(self._log.lidar, self._log.T_base_lidar), self._scan + 1
+        mapper, first = Mapper(self._log.lidar, self._log.T_base_lidar), self._head.scan + 1
         self._online = Online(mapper, first, heard(self._log, first))
         self._drawn = self._loop = None
         self._trails["slam"].clear()
@@ -211,17 +223,13 @@ class Playback(BaseSession):
         return "mapping stopped"
 
     def _draw(self) -> None:
-        """The online map, its graph and its path."""
+        """The online map, if there is one, its graph and its path."""
         if self._online is None or len(self._online.mapper) < 2:
             return
         mapper = self._online.mapper
         graph = graph_of_mapper(mapper, self._online.first)
         self._drawn = Drawn(MapLayer(mapper.map()), graph, mapper.T_map_odom)
-        self._draw_path(mapper.trajectory)
-
-    def _draw_path(self, trajectory: Trajectory) -> None:
-        self._slam_path = ShownPath(self._slam_path.version + 1, trajectory.poses.xy)
-        self._trails["slam"].clear()
+        self._trails["slam"].replace(mapper.trajectory.poses.xy)
 
     def _build(self) -> str:
         """Map the whole bag, with the loop edits."""
@@ -235,12 +243,12 @@ class Playback(BaseSession):
         built = Drawn(MapLayer(result.grid), graph, SE2.identity(), result.trajectory, self._edits)
         self._drawn = self._built = built
         self._online = self._loop = None
-        self._draw_path(result.trajectory)
+        self._trails["slam"].replace(result.trajectory.poses.xy)
         refused = 0
         for added, loop in zip(self._edits.add, result.loops, strict=False):
             if not loop.accepted:
                 text = f"scan {added.scan} at scan {added.place}: not joined: {loop.verdict}"
-                self._events.add(self._position_ns, text, "warning")
+                self._events.add(self._told_ns, text, "warning")
                 refused += 1
         check = result.check.as_metrics()
         told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
@@ -250,7 +258,7 @@ class Playback(BaseSession):
         """Save the map of the whole bag, built first if the loop edits have changed."""
         self._library.check_name(name)
         if self._built is None or self._built.edits != self._edits:
-            self._events.add(self._position_ns, self._build())
+            self._events.add(self._told_ns, self._build())
         assert self._built is not None
         self._library.save_map(name, self._built.layer.grid, ())
         return f"map {name} saved"
@@ -264,13 +272,12 @@ class Playback(BaseSession):
         return ""
 
     def _reject(self, action: inputs.Scans) -> str:
-        added = tuple(x for x in self._edits.add if {x.scan, x.place} != {action.scan, action.place})
-        if len(added) < len(self._edits.add):
-            edits = self._edits.model_copy(update={"add": added})
-            return self._edited(edits, f"the loop of scans {action.scan} and {action.place} is not added")
-        rejected = (*self._edits.reject, RejectedLoop(scan=action.scan, place=action.place))
-        edits = self._edits.model_copy(update={"reject": rejected})
-        return self._edited(edits, f"the loop of scans {action.scan} and {action.place} is rejected")
+        edits, pair = self._edits, f"the loop of scans {action.scan} and {action.place}"
+        added = tuple(x for x in edits.add if {x.scan, x.place} != {action.scan, action.place})
+        if len(added) < len(edits.add):
+            return self._edited(edits.model_copy(update={"add": added}), f"{pair} is not added")
+        rejected = (*edits.reject, RejectedLoop(scan=action.scan, place=action.place))
+        return self._edited(edits.model_copy(update={"reject": rejected}), f"{pair} is rejected")
 
     def _add(self, action: inputs.LoopAdd) -> str:
         loop = AddedLoop(scan=action.scan, place=action.place, pose=action.pose)
@@ -299,11 +306,11 @@ class Playback(BaseSession):
         """What there is to draw now."""
         T_odom_base = SE2.identity()
         if self._log.T_odom_base is not None:
-            T_odom_base = self._log.T_odom_base[max(self._scan, 0)]
+            T_odom_base = self._log.T_odom_base[max(self._head.scan, 0)]
         T_map_base = self._pose(T_odom_base)
         drawn, mapper = self._drawn, None if self._online is None else self._online.mapper
         return View(
-            stamp_ns=self._position_ns,
+            stamp_ns=self._head.position_ns,
             ended=self.ended,
             state="mapping" if mapper is not None else "at its end" if self.idle else "playing",
             mapping=mapper is not None,
@@ -316,7 +323,7 @@ class Playback(BaseSession):
             events=self._events.events,
             scan=self._points(T_map_base),
             odom_path=self._trails["odom"].path,
-            slam_path=self._slam_path if self._trails["slam"].path.points.size == 0 else self._longer(),
+            slam_path=self._trails["slam"].path,
             graph=None if drawn is None else drawn.graph.graph,
             map=None if drawn is None else drawn.layer,
             bag=self._marks(),
@@ -324,34 +331,23 @@ class Playback(BaseSession):
 
     def _pose(self, T_odom_base: SE2) -> SE2:
         """The best estimate of where the newest scan was taken."""
-        drawn = self._drawn
+        drawn, scan = self._drawn, self._head.scan
         if self._online is not None and len(self._online.mapper):
             return self._online.mapper.T_map_base
-        if drawn is not None and drawn.trajectory is not None and self._scan >= 0:
-            return drawn.trajectory.poses[self._scan]
+        if drawn is not None and drawn.trajectory is not None and scan >= 0:
+            return drawn.trajectory.poses[scan]
         return T_odom_base if drawn is None else drawn.T_map_odom @ T_odom_base
 
     def _points(self, T_map_base: SE2) -> Array | None:
-        if self._scan < 0:
+        scan = self._head.scan
+        if scan < 0:
             return None
-        of = (self._scan, *T_map_base.xyt.tolist())
-        return self._cached.get("scan", of, lambda: T_map_base @ points_of(self._log, self._scan))
-
-    def _longer(self) -> ShownPath:
-        """The path on display, extended by the trail since."""
-        points = np.vstack([self._slam_path.points, self._trails["slam"].path.points])
-        return ShownPath(self._slam_path.version, points)
+        of = (scan, *T_map_base.xyt.tolist())
+        return self._cached.get("scan", of, lambda: T_map_base @ points_of(self._log, scan))
 
     def _marks(self) -> BagMarks:
         edits = [("reject", loop.scan, loop.place) for loop in self._edits.reject]
         edits += [("add", loop.scan, loop.place) for loop in self._edits.add]
-        return BagMarks(
-            seconds(self._position_ns),
-            seconds(self._end_ns),
-            NO_KEYS if self._drawn is None else self._drawn.graph.keys,
-            self._loop,
-            tuple(edits),
-        )
-
-
-NO_KEYS: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        keys = NO_KEYS if self._drawn is None else self._drawn.graph.keys
+        position_s, end_s = seconds(self._head.position_ns), seconds(self._head.end_ns)
+        return BagMarks(position_s, end_s, keys, self._loop, tuple(edits))

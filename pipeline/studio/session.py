@@ -98,7 +98,6 @@ class Session(BaseSession):
             return "reset: the robot is back at its start"
         if entry.do == "end":
             self._finish("ended with the session")
-            self.ended = True
             return "the session is over"
         if entry.do not in ACTIONS:
             raise InputError(f"{entry.do}: no bag is being played; start the studio with --bag BAG")

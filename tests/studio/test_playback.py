@@ -146,6 +146,9 @@ def test_the_scan_lies_where_the_robot_is_drawn_when_the_map_is_another(played):
     with pytest.raises(InputError, match="shortly after each other"):
         played.apply(inputs.LoopAdd(do="loop_add", scan=5, place=3, pose=(0.0, 0.0, 0.0)))
     assert "already shown" in played.apply(inputs.Plain(do="map_build"))
+    assert len(played.view().slam_path.points) > 100
+    played.apply(inputs.Plain(do="map_start"))
+    assert len(played.view().slam_path.points) == 0, "the path is that of a map that is not shown any more"
 
 
 def test_a_file_with_a_time_beyond_the_bags_end_is_played_to_its_end(bag, tmp_path):
