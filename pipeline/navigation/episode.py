@@ -74,7 +74,7 @@ def drive(
     recorder = RunRecorder(simulator, bag)
     while True:
         command = owner.step(observation)
-        recorder.tick(observation, owner, command)
+        recorder.tick(observation, owner)
         ended = _cut_short(observation.stamp_ns, interrupted)
         if ended and sequence is not None and not driver.finished:
             sequence.close_all("timeout", ended, observation.stamp_ns)

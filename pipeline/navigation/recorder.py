@@ -7,7 +7,7 @@ import numpy as np
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.runlog import RunLog, RunLogBuilder
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Observation, Trajectory, Twist
+from turtlebag.datasets.types import Observation, Trajectory
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.sim.simulator import Simulator
 
@@ -40,14 +40,12 @@ class RunRecorder:
         self._truth: list[tuple[int, SE2]] = []
         self._own: list[tuple[int, SE2]] = []
 
-    def tick(
-        self, observation: Observation, owner: CommandOwner, command: Twist, T_frame_odom: SE2 | None = None
-    ) -> None:
+    def tick(self, observation: Observation, owner: CommandOwner, T_frame_odom: SE2 | None = None) -> None:
         """One control period: what was seen, and what is commanded for the next."""
         truth = self._simulator.truth
         self._bag.observation(observation)
         self._bag.truth(truth.stamp_ns, truth.T_world_base, truth.twist)
-        self._bag.command(observation.stamp_ns, command)
+        self._bag.command(observation.stamp_ns, owner.command)
         if owner.owner != self._owner:
             self._owner = owner.owner
             self._bag.owner(observation.stamp_ns, owner.owner)
@@ -61,7 +59,7 @@ class RunRecorder:
             T_world_base=truth.T_world_base,
             T_map_base=owner.driver.estimate,
             T_odom_base=observation.odometry.T_odom_base,
-            command=command,
+            command=owner.command,
             clearance_m=self._simulator.clearance(),
             contact_visible=truth.contact_visible,
             contact_low=truth.contact_low,

@@ -111,10 +111,11 @@ class CommandOwner:
         self.owner: Owner = "navigation"
         self.asked: list[Interval] = []
         """The overrides so far, as a script that repeats them."""
+        self.command = Twist()
+        """That of the last tick."""
         self._source = source
         self._monitor = monitor
         self._limits = SpeedLimits.of(model, PERIOD_S)
-        self._last = Twist()
 
     @property
     def state(self) -> str:
@@ -126,27 +127,27 @@ class CommandOwner:
         asked = self._source.asked(observation.stamp_ns)
         if asked is None:
             if self.owner == "teleop":
-                self.driver.resume(self._last)
+                self.driver.resume(self.command)
             self.owner = "navigation"
-            self._last = self.driver.step(observation)
-            require_task(self.driver, observation, self._last)
-            return self._last
+            self.command = self.driver.step(observation)
+            require_task(self.driver, observation, self.command)
+            return self.command
         self.owner = "teleop"
         self._note(observation.stamp_ns, asked)
         self.driver.stand_by(observation)
-        self._last = self._allowed(asked, observation)
-        return self._last
+        self.command = self._allowed(asked, observation)
+        return self.command
 
     def _allowed(self, asked: Twist, observation: Observation) -> Twist:
         """What is asked for, within the robot's limits and as far as nothing the lidar sees is in the way."""
-        wanted = ramped(asked, self._last, self._limits)
+        wanted = ramped(asked, self.command, self._limits)
         if self._monitor is None:
             return wanted
         points = self.driver.sensing.points_base(observation.odometry.T_odom_base)
         factor = self._monitor.limit(wanted, points)
         if factor >= 1.0:
             return wanted
-        return ramped(Twist(wanted.v * factor, wanted.w * factor), self._last, self._limits)
+        return ramped(Twist(wanted.v * factor, wanted.w * factor), self.command, self._limits)
 
     def _note(self, stamp_ns: int, asked: Twist) -> None:
         begin, end = round(seconds(stamp_ns), 9), round(seconds(stamp_ns) + PERIOD_S, 9)

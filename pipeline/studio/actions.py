@@ -71,7 +71,7 @@ def map_load(run: Run, action: inputs.Load) -> str:
     run.end_task("ended: a map was loaded")
     run.loaded, run.keepout = LoadedMap(grid, action.name, path), keepout
     run.pilot.load(grid, costmap, run.stamp_ns)
-    run.frame_changed()
+    run.shared.trails.frame_changed()
     return f"map {action.name or path.stem} loaded"
 
 
@@ -81,7 +81,7 @@ def pose_estimate(run: Run, action: inputs.At) -> str:
     pose = SE2.from_xyt(*action.pose)
     require_on_map("pose_estimate", pose, navigation.tools.obstacles.static, loaded.path)
     navigation.told(pose, run.observation.odometry.T_odom_base)
-    run.frame_changed()
+    run.shared.trails.frame_changed()
     x, y, yaw = action.pose
     return f"initial pose {x:.2f}, {y:.2f}, {yaw:.2f}"
 
@@ -91,7 +91,7 @@ def localise_global(run: Run, action: inputs.Plain) -> str:
     navigation, loaded = _on_map(run, "localise_global")
     require_floor(loaded.grid, loaded.path)
     navigation.told("global", run.observation.odometry.T_odom_base)
-    run.frame_changed()
+    run.shared.trails.frame_changed()
     return "global localisation: the robot may be anywhere on the map"
 
 
@@ -224,7 +224,7 @@ def _sequence(run: Run, goals: Sequence[Waypoint], changes: Mapping[str, float])
 def _new_map(run: Run) -> None:
     run.loaded = run.shared.publisher.grid = None
     run.pilot.start_mapping()
-    run.frame_changed()
+    run.shared.trails.frame_changed()
 
 
 def _costmap(run: Run, grid: OccupancyGrid, keepout: Sequence[Array]) -> Costmap:

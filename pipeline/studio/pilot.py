@@ -131,7 +131,6 @@ class Pilot(Driver):
         self.task: Task | None = None
         self.navigation: NavigationDriver | None = None
         """Localises on the map that is loaded, and drives on it; None without a map."""
-        self.localiser: Localiser | None = None
         self.mapper: OnlineMap | None = None
         """Of the map that was begun here; None when there is none."""
         self.mapping = False
@@ -139,6 +138,12 @@ class Pilot(Driver):
         self._drawn_ns = 0
         self._drawn_at = SE2.identity()
         self.state = "idle"
+
+    @property
+    def localiser(self) -> Localiser | None:
+        """That of the navigation; None without a map."""
+        relocaliser = None if self.navigation is None else self.navigation.relocaliser
+        return None if relocaliser is None else relocaliser.localiser
 
     @property
     def T_map_odom(self) -> SE2:
@@ -165,13 +170,13 @@ class Pilot(Driver):
     def load(self, grid: OccupancyGrid, costmap: Costmap, now_ns: int) -> None:
         """Go by this map from now on; no pose on it is known, and what was mapped here is forgotten."""
         idle = GoalSequence((), self.kit.config.sequence)
-        self.navigation, self.localiser = make_navigator(self.kit, grid, costmap, idle)
+        self.navigation, _ = make_navigator(self.kit, grid, costmap, idle)
         self.mapper, self.mapping = None, False
         self.kit.publisher.map(now_ns, grid)
 
     def start_mapping(self) -> None:
         """Begin a new map, and go by it."""
-        self.navigation = self.localiser = None
+        self.navigation = None
         self.mapper, self.mapping = OnlineMap(self.kit.robot.T_base_lidar, self.kit.config.explore.slam), True
 
     def keep_out(self, costmap: Costmap) -> None:

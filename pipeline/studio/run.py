@@ -22,12 +22,9 @@ from turtlebag.pipeline.studio.publisher import Publisher
 from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import Level
-from turtlebag.pipeline.studio.visuals import EventLog, Trail, Visuals
+from turtlebag.pipeline.studio.visuals import EventLog, Trails, Visuals
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.sim.simulator import Simulator
-
-FAR_M = 0.02
-"""If a loop closure moves the robot farther than this, its path so far is drawn anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +48,7 @@ class Shared:
     publisher: Publisher
     tasks: list[dict[str, Any]]
     """Metrics of the tasks that are over."""
-    trails: dict[str, Trail]
-    """The paths by odometry, by the robot's estimate, and in truth: `odom`, `slam`, `true`."""
+    trails: Trails
 
 
 class Run:
@@ -70,19 +66,14 @@ class Run:
         """The current teleop command; None without teleop."""
         self.owner = CommandOwner(self.pilot, robot.model, self, CollisionMonitor(robot.model))
         self.visuals = Visuals(self.pilot)
-        self.command = Twist()
         self.doing = ""
         self.loaded: LoadedMap | None = None
         self.keepout: tuple[Array, ...] = setup.arena.keepout
         self.boxes = np.zeros((0, 4))
         """Dropped so far, see `View.boxes`."""
         self.waypoints: tuple[tuple[float, float, float, float | None], ...] | None = None
-        self.shown: Task | None = None
-        """The last task that had goals."""
-        self._loops = 0
         self._news = News("", self.say, self._clock)
-        for trail in shared.trails.values():
-            trail.clear()
+        shared.trails.clear()
 
     @property
     def stamp_ns(self) -> int:
@@ -105,26 +96,27 @@ class Run:
     def tick(self) -> None:
         """One control period."""
         observation, shared, pilot = self.observation, self.shared, self.pilot
-        self.command = self.owner.step(observation)
+        self.owner.step(observation)
         del self.owner.asked[:-1]  # the journal has them
-        shared.run_log.tick(observation, self.owner, self.command, pilot.T_map_odom)
+        shared.run_log.tick(observation, self.owner, pilot.T_map_odom)
         task = pilot.task
         sequence = None if task is None else task.sequence
         self._news.tick(observation.stamp_ns, self.owner, sequence, shared.simulator.truth)
         if observation.scan is not None:
-            self._leave_trails()
+            T_odom_base, T_world_base = observation.odometry.T_odom_base, shared.simulator.truth.T_world_base
+            shared.trails.leave(T_odom_base, self.T_map_base, T_world_base, pilot.slam)
         if task is not None and task.driver.finished:
             self._task_over(task)
         elif task is not None and observation.stamp_ns >= task.end_ns:
             self.end_task("cancelled: timed out")
-        self.observation = shared.simulator.step(self.command)
+        self.observation = shared.simulator.step(self.owner.command)
 
     def begin(self, task: Task) -> None:
         """Start a task with the next tick; no other is running."""
         self.pilot.begin(task)
         self.shared.run_log.begin()
         self._news.begin()
-        self.shown = task if task.sequence is not None else None
+        self.visuals.shown = task.sequence
 
     def end_task(self, why: str) -> None:
         """End the task, if there is one."""
@@ -135,21 +127,6 @@ class Run:
             task.sequence.close_all("timeout", why, self.stamp_ns)
         self.say(f"{task.kind} {why}")
         self._task_over(task)
-
-    def frame_changed(self) -> None:
-        """The path so far was on another map."""
-        self.shared.trails["slam"].clear()
-        self._loops = 0
-
-    def _leave_trails(self) -> None:
-        trails, slam = self.shared.trails, self.pilot.slam
-        trails["odom"].add(self.observation.odometry.T_odom_base.xy)
-        trails["slam"].add(self.T_map_base.xy)
-        trails["true"].add(self.shared.simulator.truth.T_world_base.xy)
-        jumps = [] if slam is None else slam.jumps[self._loops :]
-        if slam is not None and max(jumps, default=0.0) > FAR_M:
-            trails["slam"].replace(slam.trajectory.poses.xy)
-        self._loops += len(jumps)
 
     def _task_over(self, task: Task) -> None:
         if isinstance(task.driver, WiggleDriver):

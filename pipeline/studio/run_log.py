@@ -12,7 +12,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import RunLog, write_header
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import write_tum
-from turtlebag.datasets.types import Observation, Twist
+from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.takeover import CommandOwner
@@ -41,11 +41,9 @@ class RunLogWriter(RunRecorder):
         self._write()
         self._task = _TaskRows()
 
-    def tick(
-        self, observation: Observation, owner: CommandOwner, command: Twist, T_frame_odom: SE2 | None = None
-    ) -> None:
+    def tick(self, observation: Observation, owner: CommandOwner, T_frame_odom: SE2 | None = None) -> None:
         """One control period: what was seen, and what is commanded for the next."""
-        super().tick(observation, owner, command, T_frame_odom)
+        super().tick(observation, owner, T_frame_odom)
         if len(self._rows.rows) >= CHUNK_ROWS:
             self._write()
 

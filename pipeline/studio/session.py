@@ -21,7 +21,7 @@ from turtlebag.pipeline.studio.run import Run, Shared
 from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import Scene, View
-from turtlebag.pipeline.studio.visuals import Trail
+from turtlebag.pipeline.studio.visuals import Trails
 from turtlebag.sim.robots import static_transforms
 from turtlebag.sim.simulator import Simulator
 
@@ -42,7 +42,7 @@ class Session(BaseSession):
             events=self._events,
             publisher=publisher,
             tasks=[],
-            trails={name: Trail() for name in ("odom", "slam", "true")},
+            trails=Trails(),
         )
         self._run = self._started()
         self._bag: tuple[str, BagWriter] | None = None
@@ -141,14 +141,14 @@ class Session(BaseSession):
         """What there is to draw now."""
         run, shared = self._run, self._shared
         pilot, look, truth = run.pilot, run.visuals, shared.simulator.truth
-        task = pilot.task
+        task, command, trails = pilot.task, run.owner.command, shared.trails
         sequence = None if task is None else task.sequence
         goal = None if sequence is None or sequence.goal is None else sequence.waypoint.written
         return View(
             stamp_ns=run.stamp_ns,
             ended=self.ended,
             owner=run.owner.owner,
-            command=(run.command.v, run.command.w),
+            command=(command.v, command.w),
             task="" if task is None else task.kind,
             state=run.doing,
             recording=None if self._bag is None else self._bag[0],
@@ -163,7 +163,7 @@ class Session(BaseSession):
             T_map_base=run.T_map_base,
             T_odom_base=run.observation.odometry.T_odom_base,
             T_world_base=truth.T_world_base,
-            goals=look.goals(run.shown),
+            goals=look.goals(),
             goal_index=pilot.goal_index,
             goal=goal,
             sectors=look.sectors(),
@@ -171,10 +171,10 @@ class Session(BaseSession):
             scan=look.scan(),
             particles=look.particles(),
             plan=look.plan(shared.publisher.path),
-            local=look.local(run.T_map_base, run.command),
-            odom_path=shared.trails["odom"].path,
-            slam_path=shared.trails["slam"].path,
-            true_path=shared.trails["true"].path,
+            local=look.local(run.T_map_base, command),
+            odom_path=trails.odom.path,
+            slam_path=trails.slam.path,
+            true_path=trails.true.path,
             graph=look.graph(),
             boxes=run.boxes,
             keepout=run.keepout,

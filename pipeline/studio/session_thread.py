@@ -44,7 +44,8 @@ class SessionThread:
         self._view_due = 0.0
         self._drive: Drive | None = None
         self._driven = 0.0
-        self._doing, self._since = "", time.monotonic()
+        self._doing = "", time.monotonic()
+        """What is being done, and since when; one object, as the event loop reads it at any moment."""
         self.failure: BaseException | None = None
         """What ended the thread, if not its `end`."""
 
@@ -60,7 +61,8 @@ class SessionThread:
     @property
     def busy(self) -> str | None:
         """What has kept the session for a second, `tick` or the `do` of an input; None for nothing."""
-        return (self._doing or None) if time.monotonic() - self._since > BUSY_S else None
+        doing, since = self._doing
+        return (doing or None) if time.monotonic() - since > BUSY_S else None
 
     def end(self) -> None:
         """Stop after the tick that is being computed; returns when the session is the caller's again."""
@@ -102,7 +104,7 @@ class SessionThread:
             self.failure = error
 
     def _begin(self, doing: str) -> None:
-        self._doing, self._since = doing, time.monotonic()
+        self._doing = doing, time.monotonic()
 
     def _do_what_is_asked(self) -> None:
         """All that is in the queue; when the next tick is not due, wait for it there."""

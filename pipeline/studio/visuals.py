@@ -16,6 +16,7 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.studio.pilot import Pilot, Task
 from turtlebag.pipeline.studio.view import (
     CostLayer,
@@ -34,6 +35,8 @@ Made = TypeVar("Made")
 AHEAD_S, AHEAD_STEPS = 1.5, 16
 """The local trajectory is where the command leads in this time."""
 STEP_M, MOST_POINTS = 0.02, 20_000
+FAR_M = 0.02
+"""If a loop closure moves the robot farther than this, its path so far is drawn anew."""
 MOST_EVENTS = 500
 
 
@@ -77,6 +80,35 @@ class Trail:
         self._points = grown
 
 
+class Trails:
+    """The paths by odometry, by the robot's estimate, and in truth."""
+
+    def __init__(self) -> None:
+        self.odom, self.slam, self.true = Trail(), Trail(), Trail()
+        self._loops = 0
+
+    def clear(self) -> None:
+        """The robot starts anew."""
+        self.odom.clear()
+        self.true.clear()
+        self.frame_changed()
+
+    def frame_changed(self) -> None:
+        """The robot's path so far was on another map."""
+        self.slam.clear()
+        self._loops = 0
+
+    def leave(self, T_odom_base: SE2, T_map_base: SE2, T_world_base: SE2, slam: Mapper | None) -> None:
+        """The robot is here; what maps, if anything, may have closed loops."""
+        self.odom.add(T_odom_base.xy)
+        self.slam.add(T_map_base.xy)
+        self.true.add(T_world_base.xy)
+        jumps = [] if slam is None else slam.jumps[self._loops :]
+        if slam is not None and max(jumps, default=0.0) > FAR_M:
+            self.slam.replace(slam.trajectory.poses.xy)
+        self._loops += len(jumps)
+
+
 class EventLog:
     """The last lines, numbered."""
 
@@ -118,6 +150,8 @@ class Visuals:
 
     def __init__(self, pilot: Pilot) -> None:
         self._pilot, self._cached = pilot, Cached()
+        self.shown: GoalSequence | None = None
+        """The goals of the last task, if it had some."""
 
     def scan(self) -> Array | None:
         """Where the beams of the newest sweep ended, (n, 2) in the map frame."""
@@ -187,9 +221,9 @@ class Visuals:
             "graph", (slam, len(keys), len(slam.jumps)), lambda: _graph(keys, slam.constraints)
         )
 
-    def goals(self, task: Task | None) -> tuple[GoalMark, ...]:
-        """The goals of a task and what has become of each in its last lap."""
-        sequence = None if task is None else task.sequence
+    def goals(self) -> tuple[GoalMark, ...]:
+        """The goals of the last task and what has become of each in its last lap."""
+        sequence = self.shown
         if sequence is None:
             return ()
         done, running = len(sequence.outcomes), sequence.goal is not None
