@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.conformance.room import (
@@ -80,8 +81,8 @@ def _tracked(front_end: Callable[[Any], FrontEnd], recording: Recording) -> Trac
 
     tracker = Tracker(clouds, recording, TrackingConfig(calibration=False), LIDAR.range_max, make)
     with told():
-        for _ in range(1, len(recording)):
-            tracker.step()
+        for wait_s in seconds(np.diff(recording.stamps_ns)).tolist():
+            tracker.step(wait_s)
             for what, value, most in (
                 ("overlap", tracker.placed.overlap, 1.0),
                 ("known", tracker.placed.known, 1.0),

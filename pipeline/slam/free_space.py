@@ -16,6 +16,8 @@ from turtlebag.pipeline.slam.threads import in_parts
 # A point this near a wall of the other scan agrees with it; one that lies so far in front of all it saw there
 # violates its free space [m].
 WALL_M, THROUGH_M = 0.15, 0.4
+# Key scans this near are visits of one place [m]; so many pairs of them at most are compared.
+NEAR_M, MOST_PAIRS = 1.5, 3000
 # Two visits of one place violate each other's free space by no larger share, but for what is usual in the
 # log: true loops do so by up to 0.04 (CSAIL, belgioioso), those that fold mazes of cells alike by 0.07 to
 # 0.19.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
-from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
+from turtlebag.pipeline.slam.drift import reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
 from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder, step_lengths
@@ -34,14 +34,12 @@ class GrowingLoops(LoopFinder):
         self._candidates: deque[tuple[int, float, float]] | None = None
         self._found: Loop | None = None
 
-    def add_key(
-        self, clouds: Clouds, keys: NDArray[np.int64], T_last_key: Array, steps: list[Constraint]
-    ) -> None:
+    def add_key(self, scans: KeyScans, T_last_key: Array, steps: list[Constraint]) -> None:
         """One more key, seen from the last one (3,), and what joins the two, as if they were keys 0 and 1;
-        `keys` are the scans of all."""
+        `scans` are those of all keys."""
         n = len(self.poses)
         steps = [replace(c, i=n - 1, j=n) for c in steps]
-        self.clouds, self.keys, self.part = clouds, keys, np.zeros(len(keys), dtype=np.int64)
+        self.scans, self.part = scans, np.zeros(len(scans.keys), dtype=np.int64)
         self.poses = np.vstack([self.poses, compose(self.poses[-1], T_last_key)])
         self.path = np.append(self.path, self.path[-1] + step_lengths(self.poses[-2:]))
         self.steps += steps
@@ -60,7 +58,7 @@ class GrowingLoops(LoopFinder):
             return False
         i = self._waiting[0]
         if self._candidates is None:
-            self.ways = drift_of(self.poses, self.steps).ways(self.loops)
+            self._judge_drift()
             self.sigma_m = self._sigma(i)
             self._candidates = deque(self.candidates(i))
         elif self._candidates:
@@ -92,13 +90,13 @@ class GrowingLoops(LoopFinder):
         self.poses = self._graph.update(self.poses, [*new, constraint])
         self._found = None
 
-    def keep(self, stays: NDArray[np.bool_], clouds: Clouds, keys: NDArray[np.int64]) -> None:
+    def keep(self, stays: NDArray[np.bool_], scans: KeyScans) -> None:
         """Only some of the keys (n,), those `needed` among them; what is known of the others is told of their
-        neighbours. `keys` are the scans of those that stay, numbered as in `clouds`."""
+        neighbours. `scans` are those of the keys that stay."""
         number = np.cumsum(stays) - 1
         self.steps = without(self.steps, stays, self.poses)
         self.loops = without(self.loops, stays, self.poses)
-        self.clouds, self.keys, self.part = clouds, keys, self.part[stays]
+        self.scans, self.part = scans, self.part[stays]
         self.poses, self.path = self.poses[stays], self.path[stays]
         self._waiting = deque(int(number[i]) for i in self._waiting)
         self._candidates = None

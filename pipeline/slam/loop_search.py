@@ -172,7 +172,7 @@ class LoopSearch(ABC):
     def process(self, batch: range) -> None:
         """Search loops for the keys of a batch, then re-optimise when any was found."""
         found = []
-        self.ways = drift_of(self.poses, self.steps).ways(self.loops)
+        self._judge_drift()
         for i in batch:
             if i % self.config.every == 0 or i == len(self.poses) - 1:
                 loop = self._query(i)
@@ -185,6 +185,10 @@ class LoopSearch(ABC):
         self.loops += map(self.config.constraint, accepted)
         n = batch.stop
         self._optimise(n, [c for c in [*self.steps, *self.loops] if max(c.i, c.j) < n])
+
+    def _judge_drift(self) -> None:
+        """How far keys may be from where they are taken to be, by the graph as it is."""
+        self.ways = drift_of(self.poses, self.steps).ways(self.loops)
 
     def _query(self, i: int) -> Loop | None:
         """The best older place for key i, or None when none is near enough."""
@@ -236,7 +240,7 @@ class LoopFinder(LoopSearch):
         known: Sequence[Constraint] = (),
     ) -> None:
         super().__init__(T_map_keys, steps, closing.config, part, known, closing.edits)
-        self.clouds, self.keys = scans
+        self.scans = scans
         self._closed = {c.j for c in known}
         self.matcher, self.back_end = closing.config.matcher(), closing.back_end
 
@@ -259,21 +263,21 @@ class LoopFinder(LoopSearch):
     def match_from(self, i: int, j: int, guess: Array, gate: float, turn_gate: float) -> Loop:
         """Search, align and judge key i (with its predecessors) against the place around key j, within [m]
         and [rad] of a pose (3,) seen from there."""
-        config = self.config
+        config, clouds = self.config, self.scans.clouds
         lo, hi = max(0, j - config.group), min(j + config.group + 1, i - 1)
         place = self._stretch(j, np.arange(lo, hi))
         query = self._stretch(i, np.arange(max(0, i - config.group), i + 1))
-        points = query.points(self.clouds)
+        points = query.points(clouds)
         points = points[:: max(1, len(points) // 300)]
-        coarse_field = make_field(self.clouds, place.scans, place.T_about_scans, CELL_M, 0.15)
+        coarse_field = make_field(clouds, place.scans, place.T_about_scans, CELL_M, 0.15)
         coarse, _ = best_pose(coarse_field, points, guess, gate, turn_gate, TURN_RAD)
-        fine_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.05, 0.07)
+        fine_field = make_field(clouds, place.scans, place.T_about_scans, 0.05, 0.07)
         fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, 0.01)
         if score < config.min_score:
             return Loop(i, j, fine, score, 0.0, 0.0, gate, "low score", np.eye(3))
-        found = self.matcher.match(self.clouds, query, place, fine, ROUGH)
+        found = self.matcher.match(clouds, query, place, fine, ROUGH)
         require_alignment(self.matcher, found)
-        verdict = loop_verdict(found, fine, self.matcher, self.clouds, (query, place), config.min_overlap)
+        verdict = loop_verdict(found, fine, self.matcher, clouds, (query, place), config.min_overlap)
         return Loop(
             i, j, found.T_map_base.xyt, score, found.overlap, found.rmse, gate, verdict, found.information
         )
@@ -281,4 +285,4 @@ class LoopFinder(LoopSearch):
     def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:
         """Some keys as seen from one."""
         T = (SE2(self.poses[about]).inverse() @ SE2(self.poses[members])).xyt
-        return Stretch(int(self.keys[about]), self.keys[members], T)
+        return Stretch(int(self.scans.keys[about]), self.scans.keys[members], T)

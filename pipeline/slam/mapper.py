@@ -16,10 +16,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.clouds import known_motion
+from turtlebag.pipeline.slam.clouds import KeyScans, known_motion
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import front_end_maker
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
@@ -80,13 +81,14 @@ class Mapper:
             self._begin()
         else:
             self._extend(tracker)
-            tracker.step()
+            stamps = self._prepared["stamp_ns"]
+            tracker.step(seconds(int(stamps[-1] - stamps[-2])))
             self._judge(tracker)
             self._revise(tracker)
             self._close_loops(tracker, self._loops)
         assert self._tracker is not None
         assert self._loops is not None
-        T_key_scan = between(self._tracker.key_poses[-1], self._tracker.pose)
+        T_key_scan = between(self._tracker.pose_of(self._tracker.keys[-1]), self._tracker.pose)
         self._by_key.append(key=np.array([len(self._tracker.keys) - 1]), T_key_scan=T_key_scan[None])
         if len(self._prepared) - len(self._tracker.keys) >= TIDY_SCANS + LAST_SCANS:
             self._tidy(self._tracker, self._loops)
@@ -197,7 +199,7 @@ class Mapper:
 
     def _extend(self, tracker: Tracker) -> None:
         odometry = self._prepared["T_odom_base"] if self._log.has_odometry else None
-        tracker.extend(self._clouds.view(), odometry, self._prepared["stamp_ns"])
+        tracker.extend(self._clouds.view(), odometry)
 
     def _judge(self, tracker: Tracker) -> None:
         """Count scans that do not fit. One without points says nothing where odometry carries the robot."""
@@ -212,14 +214,14 @@ class Mapper:
         key, T_key_scan = self._by_key["key"], self._by_key["T_key_scan"]
         for scan, _ in tracker.placed.revised:
             number = self._prepared["number"][scan]
-            T_key_scan[number] = between(tracker.key_poses[key[number]], tracker.pose_of(scan))
+            T_key_scan[number] = between(tracker.pose_of(tracker.keys[key[number]]), tracker.pose_of(scan))
 
     def _close_loops(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """A new key scan for the graph, if there is one, and one more alignment."""
         if len(tracker.keys) > len(loops.poses):
             steps = step_constraints(tracker.track(len(loops.poses) - 1), self.config.tracking)
-            T_last_key = between(tracker.key_poses[-2], tracker.key_poses[-1])
-            loops.add_key(tracker.clouds, np.array(tracker.keys), T_last_key, steps)
+            T_last_key = between(*tracker.key_poses[-2:])
+            loops.add_key(KeyScans(tracker.clouds, np.array(tracker.keys)), T_last_key, steps)
         before = self.T_map_base
         if loops.work():
             self._follow(tracker, loops)
@@ -237,12 +239,13 @@ class Mapper:
         self._clouds.keep(stays)
         tracker.forget(~stays)
         self._extend(tracker)
+        scans = KeyScans(tracker.clouds, np.array(tracker.keys))
         if not kept.all():
             self._hang_on(kept, loops.poses)
-            loops.keep(kept, tracker.clouds, np.array(tracker.keys))
+            loops.keep(kept, scans)
             self._follow(tracker, loops)
         else:
-            loops.clouds, loops.keys = tracker.clouds, np.array(tracker.keys)
+            loops.scans = scans
         if len(self._log) > MOST_SCANS:
             self._drop_scans()
 
@@ -256,7 +259,7 @@ class Mapper:
 
     def _follow(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """The track goes where the graph has its last key scan."""
-        self._T_map_track = (SE2(loops.poses[-1]) @ SE2(tracker.key_poses[-1]).inverse()).xyt
+        self._T_map_track = (SE2(loops.poses[-1]) @ SE2(tracker.pose_of(tracker.keys[-1])).inverse()).xyt
 
     def _hang_on(self, kept: NDArray[np.bool_], T_map_keys: Array) -> None:
         """Scans seen from keys that go are seen from the last one before that stays."""

@@ -26,10 +26,9 @@ from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, compe
 from turtlebag.pipeline.slam.correspondences import ROUGH, Limits
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, firm
-from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, THROUGH_M, mean_violation
+from turtlebag.pipeline.slam.free_space import MOST_PAIRS, MOST_VIOLATIONS, NEAR_M, THROUGH_M, mean_violation
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed, require_alignment
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.selfcheck import MOST_PAIRS, NEAR_M
 from turtlebag.pipeline.slam.submaps import (
     MOST_SHIFT,
     RESOLUTION_M,

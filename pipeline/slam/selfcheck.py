@@ -7,8 +7,7 @@ Lost scans: poses constrained by neither walls nor odometry.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,19 +17,18 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.clouds import GAP_S, Clouds
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.free_space import free_space_violations
+from turtlebag.pipeline.slam.clouds import GAP_S
+from turtlebag.pipeline.slam.free_space import MOST_PAIRS, NEAR_M, free_space_violations
 from turtlebag.pipeline.slam.map_uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import jumps, unseen_way
 from turtlebag.pipeline.slam.selfcheck_verdict import Verdict
+from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.turn_comparison import usual_period
 
-# Key scans this near [m], and so many apart in time, are a revisit; so many are looked at. This share of
-# free-space violations marks a place as bad.
-NEAR_M, APART_KEYS, MOST_PAIRS, BAD_SHARE = 1.5, 30, 3000, 0.35
+# Visits so many key scans apart are a revisit. This share of free-space violations marks a place as bad.
+APART_KEYS, BAD_SHARE = 30, 0.35
 # No larger share of the places, or of the scans, than this may be wrong; nor may more key scans than this,
 # however long the log, contradict most of their revisits.
 MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
@@ -68,25 +66,16 @@ class SelfCheck(Verdict):
 
 
 def check_map(
-    recording: Recording,
-    clouds: Clouds,
-    track: Track,
-    T_map_base: SE2,
-    T_map_keys: SE2,
-    constraints: Sequence[Constraint],
-    noise: OdometryNoise,
-    breaks: NDArray[np.int64],
-    borders: NDArray[np.int64],
-    certainty: Certainty,
+    session: Session, T_map_base: SE2, overlap: Array, noise: OdometryNoise, certainty: Certainty
 ) -> SelfCheck:
-    """Check a finished map: poses of all scans (n,) and of the key scans, and what ties these together.
+    """Check a finished map: poses of all scans (n,), and the `overlap` (n,) of each with the map as it ended.
 
-    The track's `overlap` is that of each scan with the map as it ended. `noise` is what the odometry's is
-    taken for, `breaks` are the scans before which nothing confirms the motion, and that no recognised place
-    joins to the rest, `borders` the first scans of later recordings; `certainty` is the grid's.
+    `noise` is what the odometry's is taken for; `certainty` is the grid's.
     """
+    recording, borders, breaks = session.recording, session.borders, session.unconfirmed
+    track, T_map_keys = replace(session.track, overlap=overlap), session.graph.T_map_keys
     pairs = _revisits(T_map_keys)
-    share = free_space_violations(clouds, track.keys, T_map_keys.xyt, pairs)
+    share = free_space_violations(session.clouds(), track.keys, T_map_keys.xyt, pairs)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
@@ -118,6 +107,7 @@ def check_map(
         reasons.append(f"{empty} scans see no surface")
     reasons += _jumps(recording, track, T_map_base, borders)
     unseen = unseen_way(recording, track, noise, borders)
+    constraints = session.graph.constraints
     asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unseen))
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:

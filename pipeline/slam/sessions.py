@@ -58,6 +58,18 @@ class Session:
     graph: Graph
     ranges: RangeCalibration
 
+    @property
+    def borders(self) -> NDArray[np.int64]:
+        """The first scans of later recordings."""
+        joins = [c.j for c in self.graph.constraints if c.kind == "loop" and c.j == c.i + 1]
+        return self.track.keys[joins]
+
+    @property
+    def unconfirmed(self) -> NDArray[np.int64]:
+        """Scans before which nothing confirms the motion, and that no recognised place joins to the rest."""
+        breaks = self.breaks.contradicted | self.breaks.alone
+        return self.track.keys[1:][self.graph.unbridged & breaks]
+
     def carried(self) -> Track:
         """The track with its poses where the graph has them."""
         track = self.track

@@ -203,31 +203,14 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     for other in more:
         session = _joined(session, _session(other, run), run)
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
-    usable = config.usable(recording.lidar)
-    clouds, track, breaks, graph = session.clouds, session.track, session.breaks, session.graph
-    borders = np.array(
-        [track.keys[c.j] for c in graph.constraints if c.kind == "loop" and c.j == c.i + 1], dtype=np.int64
-    )
-    jumped = jumps(recording, track, track.T_track_base, borders)
-    torn = np.concatenate([breaks.gaps, np.stack([jumped - 1, jumped], axis=1)])
+    usable, track = config.usable(recording.lidar), session.track
+    jumped = jumps(recording, track, track.T_track_base, session.borders)
+    torn = np.concatenate([session.breaks.gaps, np.stack([jumped - 1, jumped], axis=1)])
     poses, overlap = pose_all_scans(
-        clouds, session.clouds_of, track, graph.T_map_keys, config.reregistration, torn
+        session.clouds, session.clouds_of, track, session.graph.T_map_keys, config.reregistration, torn
     )
     grid, certainty = make_checked_grid(recording, poses, config.grid, usable, session.motion)
-    broken_before = track.keys[1:][graph.unbridged & (breaks.contradicted | breaks.alone)]
-    placed = replace(track, overlap=overlap)
-    check = check_map(
-        recording,
-        clouds(),
-        placed,
-        poses,
-        graph.T_map_keys,
-        graph.constraints,
-        config.tracking.odometry,
-        broken_before,
-        borders,
-        certainty,
-    )
+    check = check_map(session, poses, overlap, config.tracking.odometry, certainty)
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 
 

@@ -33,8 +33,7 @@ class Tracker:
     """The log as far as it is tracked.
 
     `scan` is the one placed last, or being placed; `velocity` (3,) is the motion of the last scan placed
-    since the scan before, `keys` and `key_poses` are the key scans and where they are. `max_range` is how
-    far the lidar is used [m].
+    since the scan before, `keys` are the key scans. `max_range` is how far the lidar is used [m].
     """
 
     def __init__(
@@ -42,10 +41,8 @@ class Tracker:
     ) -> None:
         self.clouds, self.config, self.max_range = clouds, config, max_range
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
-        self.stamps = recording.stamps_ns
         self.scan, self.velocity = 0, np.zeros(3)
         self.keys: list[int] = []
-        self.key_poses: list[Array] = []
         self.calibration = Calibration()
         self._make = make
         self._front_end: FrontEnd | None = None
@@ -54,31 +51,29 @@ class Tracker:
         self._placed = [Placed(first, np.zeros((3, 3)), 1.0)]
         self._add_key()
 
-    def extend(self, clouds: Clouds, T_odom_base: Array | None, stamps_ns: NDArray[np.int64]) -> None:
-        """The log has gone on: all its scans, with stamps and odometry (n, 3), if there is any."""
-        self.clouds, self.odometry, self.stamps = clouds, T_odom_base, stamps_ns
+    def extend(self, clouds: Clouds, T_odom_base: Array | None) -> None:
+        """The log has gone on: all its scans, and odometry (n, 3), if there is any."""
+        self.clouds, self.odometry = clouds, T_odom_base
 
     def forget(self, scans: NDArray[np.bool_]) -> None:
         """Go on without some scans (n,) of long ago: those that stay are numbered anew, and so are the key
         scans among them. `extend` must follow, with the log so numbered."""
         stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
-        old = [n for n, key in enumerate(self.keys) if stays[key]]
-        self.keys, self.key_poses = [int(number[self.keys[n]]) for n in old], [self.key_poses[n] for n in old]
+        self.keys = [int(number[key]) for key in self.keys if stays[key]]
         self._placed = [self._placed[k] for k in np.flatnonzero(stays).tolist()]
         self.scan, self._field = int(number[self.scan]), None
         if len(self.keys) < n_keys:
             # from one key scan to the next is no longer what was driven
             self.config = self.config.model_copy(update={"calibration": False})
 
-    def step(self) -> None:
-        """Place the next scan."""
+    def step(self, wait_s: float) -> None:
+        """Place the next scan, taken so long after the last one [s]."""
         before, self.scan = self.scan, self.scan + 1
         step = None if self.odometry is None else self.odometry_since(before)
         if self._front_end is None:
             pose = self.pose if step is None else compose(self.pose, step)
             placed, moved = Placed(pose, np.zeros((3, 3)), 0.0), True
         else:
-            wait_s = seconds(int(self.stamps[self.scan] - self.stamps[before]))
             said = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
             require_placed(self._front_end, said, self.scan)
             # It may go on with its own arrays.
@@ -102,6 +97,11 @@ class Tracker:
         """Where the last scan was placed (3,)."""
         return self.placed.T_track_base
 
+    @property
+    def key_poses(self) -> list[Array]:
+        """Where the key scans are, (3,) each."""
+        return [self.pose_of(key) for key in self.keys]
+
     def pose_of(self, scan: int) -> Array:
         """Where a scan is taken to be by now (3,)."""
         return self._placed[scan].T_track_base
@@ -120,8 +120,9 @@ class Tracker:
     def field(self) -> Field:
         """The last key scans as a field to search in."""
         if self._field is None:
-            keys, poses = np.array(self.keys[-FIELD_KEYS:]), np.array(self.key_poses[-FIELD_KEYS:])
-            self._field = make_field(self.clouds, keys, poses, FIELD_M, FIELD_M)
+            keys = self.keys[-FIELD_KEYS:]
+            poses = np.array([self.pose_of(key) for key in keys])
+            self._field = make_field(self.clouds, np.array(keys), poses, FIELD_M, FIELD_M)
         return self._field
 
     def track(self, first: int = 0) -> Track:
@@ -159,14 +160,13 @@ class Tracker:
         return self.clouds.placed_by(scan) != "nothing"
 
     def _moved_enough(self, pose: Array) -> bool:
-        delta, config = between(self.key_poses[-1], pose), self.config
+        delta, config = between(self.pose_of(self.keys[-1]), pose), self.config
         return bool(
             np.hypot(delta[0], delta[1]) > config.key_distance_m or abs(delta[2]) > config.key_turn_rad
         )
 
     def _add_key(self) -> None:
         self.keys.append(self.scan)
-        self.key_poses.append(self.pose)
         self._field = None
         if self._front_end is None and self._has_matches(self.scan):
             self._front_end = self._make(self)
@@ -189,7 +189,8 @@ def track_log(
 ) -> Track:
     """Run a front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers)."""
     tracker = Tracker(clouds, recording, config, max_range, make)
-    for _ in scans:
-        tracker.step()
+    waits_s = seconds(np.diff(recording.stamps_ns)).tolist()
+    for scan in scans:
+        tracker.step(waits_s[scan - 1])
     tracker.calibrate()
     return tracker.track()

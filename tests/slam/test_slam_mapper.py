@@ -205,7 +205,7 @@ def test_the_odometry_is_calibrated_at_25_key_scans_and_whenever_they_have_doubl
     config = TrackingConfig(key_distance_m=0.1)
     tracker = Tracker(make_clouds(LOG, 8.0, noise=NOISE), LOG, config, 8.0, Wheels)
     for _ in range(len(LOG) - 1):
-        tracker.step()
+        tracker.step(0.2)
     assert 200 < len(tracker.keys) < 400
     assert asked == [25, 50, 100, 200]
 

@@ -15,9 +15,12 @@ from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import disbelieved
+from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.selfcheck import check_map
+from turtlebag.pipeline.slam.sessions import Graph, Session
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.track import OdometryNoise, Track, TrackingConfig
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 NONE = np.zeros(0, dtype=np.int64)
 SURE = Certainty(0.1, 0.9)
@@ -39,18 +42,27 @@ def held(T_keys, sigma):
     return [Constraint(k, k + 1, step, np.eye(3) / sigma**2, "step") for k, step in enumerate(steps)]
 
 
+def checked(log, clouds, track, T_keys, constraints, breaks=NONE, borders=NONE, certainty=SURE):
+    """The check of a map whose log is broken before some key scans, and begins anew at others."""
+    no = np.zeros(len(T_keys) - 1, dtype=bool)
+    torn = TrackBreaks(no, np.isin(track.keys[1:], breaks), no, np.zeros((0, 2), dtype=np.int64))
+    joined = [replace(c, kind="loop") if track.keys[c.j] in borders else c for c in constraints]
+    graph = Graph(T_keys, joined, [], [], ~no)
+    session = Session(log, lambda: clouds, None, None, track, torn, graph, RangeCalibration())
+    return check_map(session, track.T_track_base, track.overlap, OdometryNoise(), certainty)
+
+
 def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, step_sigma=1e-4, **changes):
     """`step_sigma` None: steps are known as well as the track says."""
     log, clouds, track = drive
     log = log if T_odom_base is None else replace(log, T_odom_base=T_odom_base)
     track = replace(track, **changes)
-    T = track.T_track_base
-    T_keys, noise = T[track.keys], OdometryNoise()
+    T_keys, noise = track.T_track_base[track.keys], OdometryNoise()
     if step_sigma is None:
         steps = step_constraints(track, TrackingConfig(), disbelieved(log, track, noise, borders))
     else:
         steps = held(T_keys, step_sigma)
-    return check_map(log, clouds, track, T, T_keys, steps, noise, breaks, borders, certainty).reasons
+    return checked(log, clouds, track, T_keys, steps, breaks, borders, certainty).reasons
 
 
 def test_a_good_map_has_nothing_against_it(drive):
@@ -84,18 +96,7 @@ def test_a_room_drawn_twice_contradicts_itself(monkeypatch, shift, doubled):
     track = replace(dead_reckoning(log, clouds), overlap=np.ones(120))
     drawn = track.T_track_base[track.keys].xyt.copy()
     drawn[len(drawn) // 2 :] += [shift, 0.0, 0.0]
-    found = check_map(
-        log,
-        clouds,
-        track,
-        track.T_track_base,
-        SE2(drawn),
-        held(SE2(drawn), 1e-4),
-        OdometryNoise(),
-        NONE,
-        NONE,
-        SURE,
-    )
+    found = checked(log, clouds, track, SE2(drawn), held(SE2(drawn), 1e-4))
     assert found.revisits > 20
     assert any("contradict each other" in reason for reason in found.reasons) == doubled
 
@@ -193,5 +194,4 @@ def test_places_seen_again_hold_a_stretch_that_nobody_saw(drive):
     loops = [
         Constraint(i, j, (T_keys[i].inverse() @ T_keys[j]).xyt, 1e5 * np.eye(3), "loop") for i, j in ends
     ]
-    T = track.T_track_base
-    assert check_map(log, clouds, track, T, T_keys, [*steps, *loops], noise, NONE, NONE, SURE).reasons == ()
+    assert checked(log, clouds, track, T_keys, [*steps, *loops]).reasons == ()
