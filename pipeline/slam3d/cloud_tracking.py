@@ -20,7 +20,7 @@ from turtlebag.datasets.types import Recording3D
 from turtlebag.pipeline.slam.kiss import LidarOdometry
 from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered, thinned
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
-from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Seen, Surfels, fit, make_surfels
 from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M, Sweep
 
 FrontEnd3d = Literal["surfels", "kiss_icp", "odometry"]
@@ -128,31 +128,25 @@ class Tracker:
     def _registered(self, sweep: Sweep, points: Array, guess: Array) -> Fit:
         if self._kiss is not None:
             T = self._kiss.register(points, guess)
-            return replace(self._fit(thinned(points, FIT_POINTS), T), T=T)
+            return replace(self._fit(self._seen(points), T), T=T)
         if sweep.span is not None:
             return self._fitted_in_time(sweep, sweep.span, guess)
-        return self._fit(thinned(points, FIT_POINTS), guess, prior=AT_ONCE)
+        return self._fit(self._seen(points), guess, prior=AT_ONCE)
 
-    def _fit(self, points: Array, T: Array, **more: Any) -> Fit:
+    def _seen(self, points: Array) -> Seen:
+        return Seen(thinned(points, FIT_POINTS), self.track.places.origin)
+
+    def _fit(self, seen: Seen, T: Array, **more: Any) -> Fit:
         assert self._surfels is not None
-        found = fit(
-            self._surfels,
-            points,
-            se3.inverse(self._anchor) @ T,
-            origin=self.track.places.origin,
-            gate=self._voxel,
-            **more,
-        )
+        found = fit(self._surfels, seen, se3.inverse(self._anchor) @ T, gate=self._voxel, **more)
         return replace(found, T=self._anchor @ found.T)
 
     def _fitted_in_time(self, sweep: Sweep, span: tuple[float, float], T: Array) -> Fit:
         """Pose and motion together: without odometry, how the robot turns within a sweep is not known."""
         start, end = span
-        points, when = thinned(sweep.points, FIT_POINTS), thinned(sweep.when(), FIT_POINTS)
         found = self._fit(
-            points,
+            self._seen(sweep.points)._replace(when=thinned(sweep.when(), FIT_POINTS)),
             T @ se3.exp(start * self._twist),
-            when=when,
             motion=(end - start) * self._twist,
             prior=IN_TIME,
             iterations=20,

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam3d.surfels import LOOSE, Fit, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.surfels import LOOSE, Fit, Seen, Surfels, fit, make_surfels
 
 REACH = 3
 """Keys before and after one that make its place."""
@@ -70,6 +70,5 @@ class Places:
         """Points (n, 3) of a cloud aligned with the place of a key, from where it is seen from there."""
         if self._last is None or self._last[0] != anchor:
             self._last = anchor, make_surfels(*self.points(anchor), self._voxel)
-        return fit(
-            self._last[1], points, T_guess, origin=self._keys.origin, gate=gate, prior=prior, iterations=8
-        )
+        seen = Seen(points, self._keys.origin)
+        return fit(self._last[1], seen, T_guess, gate=gate, prior=prior, iterations=8)

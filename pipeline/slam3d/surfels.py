@@ -145,39 +145,44 @@ right."""
 INFLATION = 50.0
 """Points share their errors, so their sum counts so many times less."""
 LOOSE = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3] * 2)
-_NO_SHARE = np.zeros(0)
+
+
+class Seen(NamedTuple):
+    """Points (n, 3) seen from `origin` (3,), in a sweep at times `when` (n,) in [0, 1] if these matter."""
+
+    points: Array
+    origin: Array
+    when: Array = np.zeros(0)
 
 
 def fit(
     surfels: Surfels,
-    points: Array,
+    seen: Seen,
     T_guess: Array,
     *,
-    origin: Array,
     gate: float,
     iterations: int = 12,
     prior: Array = LOOSE,
-    when: Array = _NO_SHARE,
     motion: Array | None = None,
 ) -> Fit:
-    """Point-to-plane alignment of points (n, 3), seen from `origin` (3,), started at `T_guess` (4, 4).
+    """Point-to-plane alignment, started at `T_guess` (4, 4).
 
     `gate` is the largest distance to a plane that counts [m]; the width of the weight starts there and
     tightens. `prior` (12,) are standard deviations of the guess: of the pose, and of the motion. With
-    `motion` (6,), the guessed motion over a sweep in which the points were taken at `when` (n,) in [0, 1],
-    that is fitted too (continuous time, as in CT-ICP, Dellenbach et al. 2022); pose and result are then
-    those of the sweep's start.
+    `motion` (6,), the guessed one over the sweep, that is fitted too (continuous time, as in CT-ICP,
+    Dellenbach et al. 2022); pose and result are then those of the sweep's start.
     """
-    if len(points) == 0 or len(surfels.means) == 0:
+    if len(seen.points) == 0 or len(surfels.means) == 0:
         return Fit(T_guess, np.zeros((6, 6)), 0.0, 0.0, motion)
     T, xi, width = T_guess, motion, gate
     anchor = (INFLATION / prior**2)[: 6 if motion is None else 12]
     away = np.zeros(len(anchor))
     for iteration in range(iterations):
-        still = points if xi is None else deskewed_points(points, when, np.stack([np.zeros(6), xi]))
-        H, b, overlap, rmse = normal_equations(
-            still, when, origin, np.ascontiguousarray(T), surfels, gate, width
-        )
+        still = seen
+        if xi is not None:
+            knots = np.stack([np.zeros(6), xi])
+            still = seen._replace(points=deskewed_points(seen.points, seen.when, knots))
+        H, b, overlap, rmse = normal_equations(still, np.ascontiguousarray(T), surfels, gate, width)
         n = len(anchor)
         step: Array = np.asarray(np.linalg.solve(H[:n, :n] + np.diag(anchor), -(b[:n] + anchor * away)))
         # Small steps add up to nearly the tangent vector of their product, and a prior is no ruler.
@@ -247,13 +252,14 @@ def nearest_surfel(q: Array, o: Array, surfels: Surfels, gate: float) -> int:
 
 @njit(cache=True)
 def normal_equations(
-    points: Array, when: Array, origin: Array, T: Array, surfels: Surfels, gate: float, width: float
+    seen: Seen, T: Array, surfels: Surfels, gate: float, width: float
 ) -> tuple[Array, Array, float, float]:
     """Gauss-Newton system H (12, 12), b (12,) of the point-to-plane distances, overlap and weighted RMS.
 
     For T Exp(w, v): d(R p + t) = R (w x p + v), so each row is [p x (R'n), R'n]; a motion over the sweep
     moves a point by its share `when` (n,) of it (second half of the system; empty: no motion).
     """
+    points, origin, when = seen
     means, normals, variances = surfels.means, surfels.normals, surfels.variances
     H, b = np.zeros((12, 12)), np.zeros(12)
     q, J, o = np.zeros(3), np.zeros(12), np.zeros(3)

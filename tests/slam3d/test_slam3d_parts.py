@@ -19,7 +19,7 @@ from turtlebag.pipeline.slam3d.loops import MIN_OVERLAP
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor, dissimilarity
 from turtlebag.pipeline.slam3d.slices import SliceConfig, SliceGrid
-from turtlebag.pipeline.slam3d.surfels import fit, make_surfels, normal_equations, observable
+from turtlebag.pipeline.slam3d.surfels import Seen, fit, make_surfels, normal_equations, observable
 from turtlebag.reports.g2o import read_g2o
 
 RNG = np.random.default_rng(7)
@@ -86,7 +86,7 @@ def test_the_compiled_normal_equations_are_those_of_numpy():
     surfels = place(room_points(2000))
     points, when = room_points(30), RNG.uniform(size=180)
     T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, 0.02, -0.03]))
-    H, b, overlap, _ = normal_equations(points, when, np.zeros(3), T, surfels, 0.2, 0.05)
+    H, b, overlap, _ = normal_equations(Seen(points, np.zeros(3), when), T, surfels, 0.2, 0.05)
     expected_H, expected_b = reference_equations(points, when, T, surfels, 0.2, 0.05)
     np.testing.assert_allclose(H, expected_H, rtol=1e-9, atol=1e-6)
     np.testing.assert_allclose(b, expected_b, rtol=1e-9, atol=1e-6)
@@ -97,22 +97,14 @@ def test_alignment_finds_pose_and_motion_to_a_millimetre():
     surfels = place(room_points())
     T = se3.exp(np.array([0.02, -0.03, 0.1, 0.12, -0.08, 0.04]))
     seen = se3.moved(se3.inverse(T), room_points(800))
-    found = fit(surfels, seen, np.eye(4), origin=np.zeros(3), gate=0.3, iterations=30)
+    found = fit(surfels, Seen(seen, np.zeros(3)), np.eye(4), gate=0.3, iterations=30)
     assert np.abs(se3.log(se3.inverse(T) @ found.T)).max() < 0.002
     motion, when = np.array([0.0, 0.0, 0.15, 0.08, 0.0, 0.0]), RNG.uniform(size=len(seen))
     poses = T @ se3.exp(when[:, None] * motion)
     world = room_points(800)
     taken = np.array([se3.moved(se3.inverse(P), p[None])[0] for P, p in zip(poses, world, strict=True)])
-    moving = fit(
-        surfels,
-        taken,
-        T,
-        origin=np.zeros(3),
-        gate=0.3,
-        when=when,
-        motion=np.zeros(6),
-        iterations=30,
-    )
+    sweep = Seen(taken, np.zeros(3), when)
+    moving = fit(surfels, sweep, T, gate=0.3, motion=np.zeros(6), iterations=30)
     assert np.abs(moving.motion - motion).max() < 0.006
     assert np.abs(se3.log(se3.inverse(T) @ moving.T)).max() < 0.005
 
@@ -122,7 +114,7 @@ def test_along_a_corridor_nothing_is_claimed_to_be_known():
     sides = [np.stack([20 * u, 0 * u + y, 2 * v], axis=-1) for y in (0.0, 2.0)]
     points = np.vstack([*sides, np.stack([20 * u, 2 * v, 0 * u], axis=-1)])
     points = points + 0.01 * RNG.normal(size=points.shape) - np.array([10.0, 1.0, 0.3])
-    found = fit(place(points), points[::7].copy(), np.eye(4), origin=np.zeros(3), gate=0.2)
+    found = fit(place(points), Seen(points[::7].copy(), np.zeros(3)), np.eye(4), gate=0.2)
     known = observable(found.information)
     assert known[3, 3] < 1e-3 * known[4, 4]
 
@@ -149,7 +141,7 @@ def test_the_two_faces_of_a_thin_wall_are_told_apart():
     )
     # Started 7 cm too far to the left: the left face is the nearer one, but was never seen from there.
     start = se3.exp(np.array([0.0, 0.0, 0.0, 0.93, 0.0, 0.0]))
-    found = fit(surfels, seen, start, origin=np.zeros(3), gate=0.3)
+    found = fit(surfels, Seen(seen, np.zeros(3)), start, gate=0.3)
     assert np.abs(se3.log(se3.inverse(T) @ found.T)).max() < 0.005
 
 
@@ -184,7 +176,7 @@ def test_features_find_the_pose_from_nothing_and_another_room_does_not_fit():
 
     def found(seen):
         start = pose_by_features(*(featured(points, 0.3) for points in (seen, here)), 0.3, seed=5)
-        return fit(place(here), seen, start, origin=np.zeros(3), gate=0.2, iterations=8)
+        return fit(place(here), Seen(seen, np.zeros(3)), start, gate=0.2, iterations=8)
 
     for seen in (here, room_points(1500)):
         assert np.abs(se3.log(se3.inverse(T) @ found(se3.moved(se3.inverse(T), seen)).T)).max() < 0.02
