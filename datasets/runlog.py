@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import chain
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,26 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Twist
 
 _POSES = tuple(f"{whose}_{part}" for whose in ("true", "estimate", "odom") for part in ("x", "y", "yaw"))
-_NUMBERS = (*_POSES, "cmd_v", "cmd_w", "clearance_m")
-COLUMNS = ("t_ns", *_NUMBERS, "contact_visible", "contact_low", "goal_index", "state", "owner")
+_FLAGS = ("contact_visible", "contact_low", "goal_index")
+COLUMNS = ("t_ns", *_POSES, "cmd_v", "cmd_w", "clearance_m", *_FLAGS, "state", "owner")
 OWNER = "navigation"
-_NOWHERE = (float("nan"),) * 3
+_NOWHERE = SE2(np.full(3, np.nan))
+
+
+class Row(NamedTuple):
+    """One control tick, see `RunLog`; `T_map_base` is None while the robot does not know where it is."""
+
+    t_ns: int
+    T_world_base: SE2
+    T_map_base: SE2 | None
+    T_odom_base: SE2
+    command: Twist
+    clearance_m: float
+    contact_visible: bool
+    contact_low: bool
+    goal_index: int
+    state: str
+    owner: str = OWNER
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +84,28 @@ class RunLog:
         return dict(zip(COLUMNS, arrays, strict=True))
 
     @staticmethod
+    def of(rows: Sequence[Row]) -> RunLog:
+        """The log of some ticks."""
+        t_ns, true, estimates, odom, commands, clearances, visible, low, goals, states, owners = (
+            zip(*rows, strict=True) if rows else ((),) * len(Row._fields)
+        )
+        speeds = np.array([(command.v, command.w) for command in commands], dtype=np.float64).reshape(-1, 2)
+        return RunLog(
+            t_ns=np.array(t_ns, dtype=np.int64),
+            T_world_base=_poses(true),
+            T_map_base=_poses(_NOWHERE if T is None else T for T in estimates),
+            T_odom_base=_poses(odom),
+            v=speeds[:, 0],
+            w=speeds[:, 1],
+            clearance_m=np.array(clearances, dtype=np.float64),
+            contact_visible=np.array(visible, dtype=bool),
+            contact_low=np.array(low, dtype=bool),
+            goal_index=np.array(goals, dtype=np.int64),
+            state=list(states),
+            owner=list(owners),
+        )
+
+    @staticmethod
     def joined(parts: Sequence[RunLog]) -> RunLog:
         """Logs that follow on one another as one; at least one."""
 
@@ -84,7 +122,7 @@ class RunLog:
         """Read a CSV written by `save`; InputError names the line that is wrong."""
         if not path.is_file():
             raise InputError(f"{path}: no such run log")
-        builder = RunLogBuilder()
+        found = []
         with path.open(newline="") as file:
             rows = csv.reader(file)
             if tuple(next(rows, ())) != COLUMNS:
@@ -92,12 +130,18 @@ class RunLog:
             for number, row in enumerate(rows, start=2):
                 try:
                     visible, low, goal, state, owner = row[13:]
-                    numbers = [float(text) if text else float("nan") for text in row[1:13]]
-                    flags = (bool(int(visible)), bool(int(low)), int(goal))
-                    builder.rows.append((int(row[0]), numbers, flags, state, owner))
+                    numbers = np.array([float(text) if text else float("nan") for text in row[1:13]])
+                    poses, (v, w, clearance) = map(SE2, numbers[:9].reshape(3, 3)), numbers[9:].tolist()
+                    flags = bool(int(visible)), bool(int(low)), int(goal)
+                    values = int(row[0]), *poses, Twist(v, w), clearance, *flags, state, owner
+                    found.append(Row(*values))
                 except ValueError:
                     raise InputError(f"{path}, line {number}: not a row of a run log") from None
-        return builder.build()
+        return RunLog.of(found)
+
+
+def _poses(poses: Iterable[SE2]) -> SE2:
+    return SE2.from_array(np.array([pose.xyt for pose in poses]).reshape(-1, 3))
 
 
 def _texts(column: NDArray[Any]) -> list[Any]:
@@ -110,51 +154,3 @@ def _texts(column: NDArray[Any]) -> list[Any]:
 def write_header(file: TextIO) -> None:
     """The first line of a run log."""
     csv.writer(file, lineterminator="\n").writerow(COLUMNS)
-
-
-class RunLogBuilder:
-    """Collects the rows of a run while it happens."""
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[int, list[float], tuple[bool, bool, int], str, str]] = []
-
-    def append(
-        self,
-        stamp_ns: int,
-        *,
-        T_world_base: SE2,
-        T_map_base: SE2 | None,
-        T_odom_base: SE2,
-        command: Twist,
-        clearance_m: float,
-        contact_visible: bool,
-        contact_low: bool,
-        goal_index: int,
-        state: str,
-        owner: str = OWNER,
-    ) -> None:
-        """Add the row of one control tick."""
-        estimate = _NOWHERE if T_map_base is None else T_map_base.xyt.tolist()
-        poses = (*T_world_base.xyt.tolist(), *estimate, *T_odom_base.xyt.tolist())
-        numbers = [*poses, command.v, command.w, clearance_m]
-        self.rows.append((stamp_ns, numbers, (contact_visible, contact_low, goal_index), state, owner))
-
-    def build(self) -> RunLog:
-        """The log of all rows so far."""
-        stamps, numbers, marks, states, owners = zip(*self.rows, strict=True) if self.rows else ((),) * 5
-        table = np.array(numbers, dtype=np.float64).reshape(-1, len(_NUMBERS))
-        flags = np.array(marks, dtype=np.int64).reshape(-1, 3)
-        return RunLog(
-            t_ns=np.array(stamps, dtype=np.int64),
-            T_world_base=SE2.from_array(table[:, 0:3]),
-            T_map_base=SE2.from_array(table[:, 3:6]),
-            T_odom_base=SE2.from_array(table[:, 6:9]),
-            v=table[:, 9],
-            w=table[:, 10],
-            clearance_m=table[:, 11],
-            contact_visible=flags[:, 0].astype(bool),
-            contact_low=flags[:, 1].astype(bool),
-            goal_index=flags[:, 2],
-            state=list(states),
-            owner=list(owners),
-        )

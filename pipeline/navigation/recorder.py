@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.datasets.runlog import RunLog, RunLogBuilder
+from turtlebag.datasets.runlog import Row, RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Trajectory
 from turtlebag.pipeline.navigation.takeover import CommandOwner
@@ -36,7 +36,7 @@ class RunRecorder:
         self._begin()
 
     def _begin(self) -> None:
-        self._rows = RunLogBuilder()
+        self._rows: list[Row] = []
         self._truth: list[tuple[int, SE2]] = []
         self._own: list[tuple[int, SE2]] = []
 
@@ -54,8 +54,8 @@ class RunRecorder:
             self._truth.append((stamp, self._simulator.scan_truth))
             T_odom_base = owner.driver.sensing.odometry.at(stamp)
             self._own.append((stamp, T_odom_base if T_frame_odom is None else T_frame_odom @ T_odom_base))
-        self._rows.append(
-            observation.stamp_ns,
+        row = Row(
+            t_ns=observation.stamp_ns,
             T_world_base=truth.T_world_base,
             T_map_base=owner.driver.estimate,
             T_odom_base=observation.odometry.T_odom_base,
@@ -67,10 +67,11 @@ class RunRecorder:
             state=owner.state,
             owner=owner.owner,
         )
+        self._rows.append(row)
 
     def log(self) -> RunLog:
         """All rows so far."""
-        return self._rows.build()
+        return RunLog.of(self._rows)
 
     def truth(self) -> Trajectory:
         """True base poses at the stamps of the scans."""

@@ -44,7 +44,7 @@ class RunLogWriter(RunRecorder):
     def tick(self, observation: Observation, owner: CommandOwner, T_frame_odom: SE2 | None = None) -> None:
         """One control period: what was seen, and what is commanded for the next."""
         super().tick(observation, owner, T_frame_odom)
-        if len(self._rows.rows) >= CHUNK_ROWS:
+        if len(self._rows) >= CHUNK_ROWS:
             self._write()
 
     def end(self, task: Task, grid: OccupancyGrid | None) -> RunMetrics | None:
@@ -65,7 +65,7 @@ class RunLogWriter(RunRecorder):
             file.close()
 
     def _write(self) -> None:
-        if not self._rows.rows:
+        if not self._rows:
             return
         log = self.log()
         log.write_rows(self._log_file)

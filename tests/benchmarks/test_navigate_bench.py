@@ -10,7 +10,7 @@ from benchmarks.drives import Maps
 from benchmarks.navigate import about, failures, main, own_contacts, row_of, scenarios, spans, summary
 from benchmarks.runner import Rows, interval
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.runlog import RunLogBuilder
+from turtlebag.datasets.runlog import Row, RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.episode import Episode
@@ -79,9 +79,8 @@ def test_goals_are_reachable_with_room_to_spare_and_kidnaps_are_far():
 
 def episode(error_m, odometry_step, status="reached"):
     """Three ticks of which the last two touch something, after a step of odometry."""
-    rows = RunLogBuilder()
-    for k in range(3):
-        rows.append(
+    rows = [
+        Row(
             k * 33_333_333,
             T_world_base=SE2.identity(),
             T_map_base=None,
@@ -93,6 +92,8 @@ def episode(error_m, odometry_step, status="reached"):
             goal_index=0,
             state="follow",
         )
+        for k in range(3)
+    ]
     goal = {"status": status, "error_m": error_m, "error_rad": 0.0, "reason": "no way"}
     metrics = {
         "goals": [goal],
@@ -102,7 +103,7 @@ def episode(error_m, odometry_step, status="reached"):
         "distance_m": 1.0,
         "time_s": 0.1,
     }
-    return Episode(metrics, rows.build(), None, None)
+    return Episode(metrics, RunLog.of(rows), None, None)
 
 
 def test_who_is_run_into_did_not_collide_and_who_drives_did():

@@ -2,15 +2,14 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.runlog import RunLog, RunLogBuilder, write_header
+from turtlebag.datasets.runlog import Row, RunLog, write_header
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 
 
 def sample_log() -> RunLog:
-    builder = RunLogBuilder()
-    for k in range(5):
-        builder.append(
+    rows = [
+        Row(
             k * 33_333_333,
             T_world_base=SE2.from_xyt(k * 0.1, 1.0, 0.5),
             T_map_base=None if k < 2 else SE2.from_xyt(k * 0.1 + 0.01, 1.0, 0.5),
@@ -22,7 +21,9 @@ def sample_log() -> RunLog:
             goal_index=k - 1,
             state="follow" if k else "wait",
         )
-    return builder.build()
+        for k in range(5)
+    ]
+    return RunLog.of(rows)
 
 
 def test_parts_of_a_run_log_are_one_log_again(tmp_path):

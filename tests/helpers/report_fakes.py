@@ -11,7 +11,7 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.maps import map_files, save_map
 from turtlebag.datasets.outputs import sha256_file, write_json, write_manifest
-from turtlebag.datasets.runlog import RunLogBuilder
+from turtlebag.datasets.runlog import Row, RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
@@ -164,9 +164,8 @@ def fake_run(
     write_truth(folder, stamps, truth)
     estimate = noisy(Trajectory(stamps[::6], truth[::6]), 0.01)
     save_tum(estimate, folder / "trajectory.tum")
-    log = RunLogBuilder()
-    for k in range(TICKS):
-        log.append(
+    rows = [
+        Row(
             int(stamps[k]),
             T_world_base=truth[k],
             T_map_base=truth[k],
@@ -178,7 +177,9 @@ def fake_run(
             goal_index=k // 300,
             state="reached" if k % 300 == 299 and not (missed and k // 300 == 1) else "drive",
         )
-    log.build().save(folder / "runlog.csv")
+        for k in range(TICKS)
+    ]
+    RunLog.of(rows).save(folder / "runlog.csv")
     (folder / "config.yaml").write_text("world: room\nrobot: burger\n")
     goals = []
     for number, (x, y) in enumerate(where):

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.colors import to_hex, to_rgb
 
 from tests.helpers.report_fakes import true_room
-from turtlebag.datasets.runlog import RunLogBuilder
+from turtlebag.datasets.runlog import Row, RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Trajectory, Twist
@@ -94,9 +94,8 @@ def test_a_scale_bar_has_a_round_length(across, text):
 
 
 def log_of(words):
-    log = RunLogBuilder()
-    for k, word in enumerate(words):
-        log.append(
+    rows = [
+        Row(
             k * 10**8,
             T_world_base=SE2.from_xyt(0.1 * k, 0.0, 0.0),
             T_map_base=SE2.from_xyt(0.1 * k, 0.0, 0.0),
@@ -108,7 +107,9 @@ def log_of(words):
             goal_index=-1,
             state=word,
         )
-    return log.build()
+        for k, word in enumerate(words)
+    ]
+    return RunLog.of(rows)
 
 
 def test_the_cases_of_a_campaign_lie_beside_the_interval_that_would_hide_them():

@@ -11,7 +11,7 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.runlog import RunLogBuilder
+from turtlebag.datasets.runlog import Row, RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, with_sensors, with_truth
@@ -158,9 +158,8 @@ def test_the_true_plan_goes_by_the_true_map(short_drive, tmp_path):
 
 @pytest.mark.parametrize(("x", "there"), [(1.1, True), (1.4, False)])
 def test_a_robot_that_is_not_where_it_takes_itself_to_be_has_no_true_success(x, there):
-    builder = RunLogBuilder()
-    for k in range(3):
-        builder.append(
+    rows = [
+        Row(
             k * 10**9,
             T_world_base=SE2.from_xyt(1.0, 0.0, 0.0),
             T_map_base=SE2.from_xyt(x, 0.0, 0.0),
@@ -172,7 +171,9 @@ def test_a_robot_that_is_not_where_it_takes_itself_to_be_has_no_true_success(x, 
             goal_index=0,
             state="follow",
         )
-    log = builder.build()
+        for k in range(3)
+    ]
+    log = RunLog.of(rows)
     goal = GoalOutcome(0, Waypoint(SE2.from_xyt(x, 0.0, 0.0), "", (x, 0.0, 0.0)), "reached", "", 0, 2 * 10**9)
     truth = Trajectory(log.t_ns, log.T_world_base)
     found = run_metrics("patrol", log, [goal_of(goal)], truth, truth)
