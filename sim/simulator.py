@@ -83,6 +83,48 @@ class Truth:
     contact_low: bool
 
 
+class _Sensors:
+    """What the robot carries: an IMU, a lidar that turns and, on some, a 3D lidar."""
+
+    def __init__(self, world: World, robot: RobotSpec, config: SimConfig, seed: int, step: int) -> None:
+        """The first turns begin at control step `step`."""
+        self.imu = ImuSensor(robot, config.imu, stream(seed, "imu"))
+        lidar, mount, turning = config.lidar, robot.lidar3d, config.lidar.turning
+        head = Lidar(world.shapes, robot, lidar, stream(seed, "lidar"))
+        steps_per_scan = round(CONTROL_HZ / (lidar.rate_hz or robot.lidar.rate_hz))
+        self.planar = Sweep(head, steps_per_scan, step, turning=turning)
+        self.spatial: Sweep[Lidar3d] | None = None
+        if mount is not None:
+            sigma = 0.0 if lidar.noise == "none" else GAZEBO_SIGMA if lidar.sigma is None else lidar.sigma
+            moving = [mover.solid for mover in world.movers]
+            head3d = Lidar3d(world.shapes, mount, sigma, stream(seed, "lidar3d"), moving)
+            self.spatial = Sweep(head3d, round(CONTROL_HZ / mount.rate_hz), step, turning=turning)
+
+    def surround(self, solids: list[Solid]) -> None:
+        """These solids stand there from now on."""
+        self.planar.lidar.surround(solids)
+        if self.spatial is not None:
+            self.spatial.lidar.surround(solids)
+
+    def note_movers(self, around: Surroundings, step: int) -> None:
+        """Where the movers stand at a control step."""
+        self.planar.lidar.note_movers(around.visible_movers, self.planar.steps_before(step))
+        if self.spatial is not None:
+            positions = [one.position.copy() for one in around.movers]
+            self.spatial.lidar.note_movers(positions, self.spatial.steps_before(step))
+
+    def put_down(self, T_world_base: SE2) -> None:
+        """The robot was carried here: of the sweeps under way there is no scan."""
+        self.planar.put_down(T_world_base.xyt)
+        if self.spatial is not None:
+            self.spatial.put_down(T_world_base.xyt)
+
+    def cloud(self, step: int, pose: Array) -> tuple[int, Cloud] | None:
+        """Stamp and cloud of the 3D lidar, if there is one, when its sweep ends."""
+        done = None if self.spatial is None else self.spatial.add(step, pose)
+        return None if done is None else (done.stamp_ns, done.measured)
+
+
 class Simulator:
     """Simulates in steps of 1/30 s, each of eight or more physics steps. A context manager, as it owns a
     Bullet client.
@@ -129,18 +171,7 @@ class Simulator:
         for kidnap in self.config.faults.kidnap:
             around.require_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
         self.surroundings = around
-        config, turning = self.config.lidar, self.config.lidar.turning
-        lidar = Lidar(self.world.shapes, self.robot, config, stream(self.seed, "lidar"))
-        steps_per_scan = round(CONTROL_HZ / (config.rate_hz or self.robot.lidar.rate_hz))
-        self._sweep = Sweep(lidar, steps_per_scan, step, turning=turning)
-        self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"))
-        self._sweep3d: Sweep[Lidar3d] | None = None
-        mount = self.robot.lidar3d
-        if mount is not None:
-            sigma = 0.0 if config.noise == "none" else GAZEBO_SIGMA if config.sigma is None else config.sigma
-            moving = [mover.solid for mover in self.world.movers]
-            lidar3d = Lidar3d(self.world.shapes, mount, sigma, stream(self.seed, "lidar3d"), moving)
-            self._sweep3d = Sweep(lidar3d, round(CONTROL_HZ / mount.rate_hz), step, turning=turning)
+        self._sensors = _Sensors(self.world, self.robot, self.config, self.seed, step)
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), step)
         self._board = Board(self.robot, self.config.odometry, self.seed, start)
         self._physics.reset(start, [one.position for one in around.movers])
@@ -178,9 +209,7 @@ class Simulator:
         """Add a solid to the floor; InputError if it would touch the robot."""
         self.surroundings.drop(solid, self.truth.T_world_base)
         self._physics.drop(solid)
-        for sweep in (self._sweep, self._sweep3d):
-            if sweep is not None:
-                sweep.lidar.surround(self.surroundings.solids)
+        self._sensors.surround(self.surroundings.solids)
 
     def clearance(self) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
@@ -188,23 +217,15 @@ class Simulator:
 
     def _place_movers(self) -> None:
         """Tell physics and lidars where the movers stand now."""
-        movers = self.surroundings.movers
-        if not movers:
-            return
-        for number, one in enumerate(movers):
-            self._physics.place(number, one.position, one.velocity)
-        earlier = self._sweep.steps_before(self._step)
-        self._sweep.lidar.note_movers(self.surroundings.visible_movers, earlier)
-        if self._sweep3d is not None:
-            earlier = self._sweep3d.steps_before(self._step)
-            self._sweep3d.lidar.note_movers([one.position.copy() for one in movers], earlier)
+        if self.surroundings.movers:
+            for number, one in enumerate(self.surroundings.movers):
+                self._physics.place(number, one.position, one.velocity)
+            self._sensors.note_movers(self.surroundings, self._step)
 
     def _put_down(self, T_world_base: SE2) -> None:
-        """Carry the robot elsewhere; of the sweep under way there is no scan."""
+        """Carry the robot elsewhere."""
         self._physics.put_down(T_world_base)
-        for sweep in (self._sweep, self._sweep3d):
-            if sweep is not None:
-                sweep.put_down(T_world_base.xyt)
+        self._sensors.put_down(T_world_base)
 
     def _observe(self, touched: Iterable[int]) -> Observation:
         stamp = stamp_of(self._step)
@@ -219,21 +240,17 @@ class Simulator:
             Odometry(stamp, *self._board.odometry.update(left, right)),
             Joints(stamp, (left, right), (left_speed, right_speed)),
             self._sweep_on(pose),
-            self._faults.imu(self._imu.samples(self._step, twist)),
-            self._cloud_on(pose),
+            self._faults.imu(self._sensors.imu.samples(self._step, twist)),
+            self._sensors.cloud(self._step, pose),
         )
 
     def _sweep_on(self, pose: Array) -> Scan | None:
         """The scan that is delivered in this step, usually the one whose turn ended in it."""
-        scan, first, done = None, pose, self._sweep.add(self._step, pose)
+        sweep = self._sensors.planar
+        scan, first, done = None, pose, sweep.add(self._step, pose)
         if done is not None:
-            scan, first = Scan(done.stamp_ns, done.measured, self._sweep.lidar.spec), done.pose_at_stamp
+            scan, first = Scan(done.stamp_ns, done.measured, sweep.lidar.spec), done.pose_at_stamp
         delivered, truth = self._faults.scan(self._step, scan, SE2(first))
         if delivered is not None:
             self.scan_truth = truth
         return delivered
-
-    def _cloud_on(self, pose: Array) -> tuple[int, Cloud] | None:
-        """Stamp and cloud of the 3D lidar, if there is one, when its sweep ends."""
-        done = None if self._sweep3d is None else self._sweep3d.add(self._step, pose)
-        return None if done is None else (done.stamp_ns, done.measured)
