@@ -100,12 +100,11 @@ def mapped(recording: Recording, settings: dict[str, Any] | None = None) -> tupl
     start = time.process_time()
     result = run_slam(recording, SlamConfig.model_validate(settings or {}))
     spent = time.process_time() - start
-    check = result.check.as_metrics()
     return result, {
         "scans": len(recording),
         "cpu_s": round(spent, 2),
-        "verdict": check["verdict"],
-        "reasons": check["reasons"],
+        "verdict": result.check.verdict,
+        "reasons": list(result.check.reasons),
         "loops": sum(loop.accepted for loop in result.loops),
     }
 

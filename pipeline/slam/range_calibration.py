@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +58,7 @@ class RangeCalibration:
         """What such readings are too long by [m]."""
         return np.asarray(self.offset_m + self.square_per_m * ranges**2)
 
-    def as_metrics(self) -> dict[str, Any]:
+    def as_metrics(self) -> dict[str, dict[str, float]]:
         """`range_error_m`, at 1 and 3 m, if there is any."""
         near, far = (float(off) for off in self.error(np.array([1.0, 3.0])))
         return {"range_error_m": {"at_1_m": near, "at_3_m": far}} if self != RangeCalibration() else {}

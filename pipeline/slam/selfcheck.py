@@ -8,7 +8,6 @@ Lost scans: poses constrained by neither walls nor odometry.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy
@@ -52,7 +51,7 @@ class SelfCheck(Verdict):
     reasons: tuple[str, ...]
 
     @property
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, float]:
         """Of the places seen twice, the scans and the cells."""
         return {
             "revisits": self.revisits,

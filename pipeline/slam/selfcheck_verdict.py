@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, Literal
 
 
 class Verdict(ABC):
@@ -12,19 +12,15 @@ class Verdict(ABC):
     reasons: tuple[str, ...]
 
     @property
-    def good(self) -> bool:
-        """Whether there is no reason for doubt."""
-        return not self.reasons
+    def verdict(self) -> Literal["good", "doubtful"]:
+        """Good without a reason for doubt."""
+        return "doubtful" if self.reasons else "good"
 
     @property
     @abstractmethod
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, float]:
         """The measurements, by their names in metrics.json."""
 
     def as_metrics(self) -> dict[str, Any]:
         """The self-check's entry in metrics.json."""
-        return {
-            "verdict": "good" if self.good else "doubtful",
-            "reasons": list(self.reasons),
-            **self.numbers,
-        }
+        return {"verdict": self.verdict, "reasons": list(self.reasons), **self.numbers}

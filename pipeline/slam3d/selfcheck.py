@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ class SelfCheck3d(Verdict):
     reasons: tuple[str, ...]
 
     @property
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, float]:
         """All of it but the reasons."""
         return {name: value for name, value in vars(self).items() if name != "reasons"}
 

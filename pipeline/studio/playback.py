@@ -250,8 +250,7 @@ class Playback(BaseSession):
                 text = f"scan {added.scan} at scan {added.place}: not joined: {loop.verdict}"
                 self._events.add(self._told_ns, text, "warning")
                 refused += 1
-        check = result.check.as_metrics()
-        told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
+        told = f"{result.check.verdict} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
         return f"{told}; {refused} of the added loops rejected" if refused else told
 
     def _map_save(self, name: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import Level
 from turtlebag.pipeline.studio.visuals import EventLog, Trails, Visuals
 from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.simulator import Simulator
 
 
@@ -36,6 +36,12 @@ class LoadedMap:
     path: Path
 
 
+class TaskMetrics(RunMetrics):
+    """Those of a task that began so long after the session [s]."""
+
+    begin_s: float
+
+
 @dataclass(frozen=True, eq=False)
 class Shared:
     """What survives a reset."""
@@ -46,7 +52,7 @@ class Shared:
     run_log: RunLogWriter
     events: EventLog
     publisher: Publisher
-    tasks: list[dict[str, Any]]
+    tasks: list[TaskMetrics]
     """Metrics of the tasks that are over."""
     trails: Trails
 
