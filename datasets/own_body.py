@@ -46,6 +46,8 @@ def without_own_body(recording: Recording) -> Recording:
     if len(lasting) < 2:
         return recording
     often = np.all([np.isfinite(some[part]).mean(axis=0) >= SEEN_SHARE for part in lasting], axis=0)
+    # most of its readings are near if nearly all are, which takes longer to ask
+    often &= np.all([(some[part] <= NEAR_M).mean(axis=0) > 0.5 for part in lasting], axis=0)
     body = np.zeros(some.shape[1], dtype=bool)
     if often.any():
         ends = np.array([np.nanpercentile(some[part][:, often], [5.0, 95.0], axis=0) for part in lasting])

@@ -39,6 +39,9 @@ SPAN = 3
 # many of equal weight or more must carry that: wheels that slip once are no clock that is late.
 LIKELIER, AGREEING = 30.0, 4.0
 ROUNDS = 6
+# Whether another time from beam to beam is likelier is asked of every third stretch first, and of all unless
+# these make it so much less likely that the others could hardly make up for it.
+FIRST = 3
 # Turns that differ by this share, and by this much [rad], are not of one robot: the odometry of other drives
 # was off by 0.95 to 3.7 times what scans turned, that of 60 own ones by 0.01 to 0.6 times.
 UNLIKE, UNLIKE_RAD = 0.8, 0.03
@@ -154,12 +157,19 @@ def _other_sweep(
     """The one of other times from beam to beam [s] with which scans and odometry surely agree better."""
     best, gained = None, 0.0
     for time_increment in others:
-        other = _turns(_sweeping(scans, time_increment), late_s, noise)
-        sigma = min(turns.sigma, other.sigma)
-        gain = turns.least(sigma) - other.least(sigma)
+        other = _sweeping(scans, time_increment)
+        if _gain(turns.some(FIRST), _turns(other, late_s, noise, FIRST)).sum() < -LIKELIER / FIRST:
+            continue
+        gain = _gain(turns, _turns(other, late_s, noise))
         if _surely(gain) and gain.sum() > gained:
             best, gained = time_increment, float(gain.sum())
     return best
+
+
+def _gain(turns: _Turns, other: _Turns) -> Array:
+    """How much likelier the other is, as a logarithm, by stretch (STRETCHES,)."""
+    sigma = min(turns.sigma, other.sigma)
+    return turns.least(sigma) - other.least(sigma)
 
 
 def _stream(recording: Recording) -> Trajectory:
@@ -176,6 +186,11 @@ class _Turns(NamedTuple):
 
     off: Array
     stretch: NDArray[np.int64]
+
+    def some(self, every: int) -> _Turns:
+        """Those of the first stretch and every so manieth after it."""
+        chosen = self.stretch % every == 0
+        return _Turns(self.off[:, :, chosen], self.stretch[chosen])
 
     @property
     def sigma(self) -> float:
@@ -232,17 +247,17 @@ def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
     return [start + np.arange(SCANS) for start in starts[chosen]]
 
 
-def _turns(scans: Recording, late_s: float, noise: RangeNoise) -> _Turns:
-    """How scans and odometry turn, the sweeps undone as of an odometry so much late."""
-    spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)]
+def _turns(scans: Recording, late_s: float, noise: RangeNoise, every: int = 1) -> _Turns:
+    """How scans and odometry turn in every so manieth stretch, the sweeps undone as of an odometry so much
+    late."""
+    spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)[::every]]
     stream = _stream(scans)
     times, yaw = seconds(stream.stamps_ns - scans.stamps_ns[0]), np.unwrap(stream.poses.yaw)
     begin, end, turned = np.concatenate([np.zeros((0, 3)), *spans]).T
     later = DELAYS_S[:, None]
     told = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
-    return _Turns(
-        np.stack([turned - told, turned + told]), np.repeat(np.arange(len(spans)), [*map(len, spans)])
-    )
+    stretch = np.repeat(every * np.arange(len(spans)), [*map(len, spans)])
+    return _Turns(np.stack([turned - told, turned + told]), stretch)
 
 
 def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
