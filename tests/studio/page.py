@@ -57,11 +57,11 @@ def open_page(browser, served, width=1280, height=720, **how):
     )
 
 
-def until(condition, timeout_s=10.0):
+def until(condition, timeout_s=10.0, pause_s=0.03):
     end = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.03)
+        time.sleep(pause_s)
     return found
 
 
