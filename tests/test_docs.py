@@ -4,13 +4,12 @@ import importlib.util
 import os
 import re
 import shlex
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tests.helpers.page_commands import BLOCK, commands, run_page
 from turtlebag.datasets.maps import MapYaml
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import load_relations
@@ -19,7 +18,7 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import load_model
 from turtlebag.pipeline.campaign.campaign_file import Campaign
-from turtlebag.pipeline.cli.main import VERBS, build_parser, joined, main
+from turtlebag.pipeline.cli.main import VERBS, build_parser, joined
 from turtlebag.pipeline.navigation.takeover import load_script
 from turtlebag.pipeline.slam.edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig
@@ -35,39 +34,25 @@ from turtlebag.sim.worlds import load_world
 ROOT = Path(__file__).parents[1]
 DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [*DOCS, ROOT / "README.md"]
-BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)
 
 
 def name_of(page):
     return page.relative_to(ROOT).with_suffix("").as_posix()
 
 
-def commands(text):
-    """Lines of the ```sh blocks, with the exit code that a trailing `# exit N` promises."""
-    lines = [line for kind, block in BLOCK.findall(text) if kind == "sh" for line in block.splitlines()]
-    return [(line, int((re.findall(r"# exit (\d)$", line) or ["0"])[0])) for line in lines if line.strip()]
-
-
+# Those of the tutorial run in test_end_to_end, which looks at what they leave.
 WITH_COMMANDS = [
-    pytest.param(page, id=name_of(page), marks=[pytest.mark.longest] if page.stem == "tutorial" else [])
+    pytest.param(page, id=name_of(page))
     for page in PAGES
-    if commands(page.read_text())
+    if commands(page.read_text()) and page.stem != "tutorial"
 ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_COMMANDS)
-def test_the_commands_of_a_page_run_as_written(page, tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
+def test_the_commands_of_a_page_run_as_written(page, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
-    for example in re.findall(r"\]\((examples/\w+\.py)\)", page.read_text()):
-        shutil.copy(page.parent / example, tmp_path)
-    for line, expected in commands(page.read_text()):
-        if line.startswith("turtlebag "):
-            code = main(shlex.split(line, comments=True)[1:])
-        else:
-            code = subprocess.run(line, shell=True, check=False).returncode
-        assert code == expected, f"{line}\n{capfd.readouterr().err[-2000:]}"
+    run_page(page, tmp_path, monkeypatch)
 
 
 def mentioned():

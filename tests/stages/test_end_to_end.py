@@ -1,4 +1,4 @@
-"""The whole way, by numbers: record, map, navigate, report; through the command line, as a user goes it."""
+"""The whole way, by numbers: record, map, navigate, report, as the page of the tutorial goes it."""
 
 import json
 import re
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.helpers.page_commands import run_page
 from tests.helpers.report_fakes import rehash
 from tests.helpers.viewer import unresolved
 from turtlebag.datasets.maps import load_map
@@ -15,18 +16,10 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.verify import verify
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.longest]
 
 ROOT = Path(__file__).parents[2]
-LAP = """\
-name: short_lap
-v: 0.2
-w: 0.8
-steps:
-  - {through: [[-1.5, -1.5], [0, -2], [1.5, -1.5], [2, 0], [1.5, 1.5], [0, 2], [-1.5, 1.5], [-2, -0.5]]}
-  - {spin: 1}
-"""
-WAYPOINTS = "waypoints:\n  - {x: -1.5, y: -1.5, yaw: 0.0}\n  - {x: 0.0, y: -2.0, yaw: 1.57}\n"
+STAGES = ("rec", "map", "goal", "patrol", "avoid", "report")
 
 
 def turtlebag(*words: object) -> int:
@@ -35,17 +28,10 @@ def turtlebag(*words: object) -> int:
 
 @pytest.fixture(scope="module")
 def stages(tmp_path_factory):
-    """Folder with record/, map/, run/ and report/ of one seeded chain."""
-    folder = tmp_path_factory.mktemp("chain")
-    (folder / "lap.yaml").write_text(LAP)
-    (folder / "two.yaml").write_text(WAYPOINTS)
-    record, built, run = folder / "record", folder / "map", folder / "run"
-    world = ("--world", "turtlebot3_world", "--seed", 5)
-    assert turtlebag("record", *world, "--teleop", folder / "lap.yaml", "--out", record) == 0
-    assert turtlebag("map", record, "--truth", record / "truth", "--out", built) == 0
-    told = ("--task", "patrol", "--waypoints", folder / "two.yaml", "--initial-pose", "-2,-0.5,0")
-    assert turtlebag("navigate", *world, "--map", built / "map.yaml", *told, "--out", run) == 0
-    assert turtlebag("report", record, built, run, "--out", folder / "report") == 0
+    """Folder in which the commands of the tutorial have run as written."""
+    folder = tmp_path_factory.mktemp("tutorial")
+    with pytest.MonkeyPatch.context() as patch:
+        run_page(ROOT / "docs/tutorial.md", folder, patch)
     return folder
 
 
@@ -56,14 +42,14 @@ def metrics(folder):
 def test_a_viewer_finds_everything_of_its_layout_in_the_bags(stages):
     layouts = {path.name: json.loads(path.read_text()) for path in stages.glob("report/foxglove-layout*")}
     on_map, on_odometry = layouts["foxglove-layout.json"], layouts["foxglove-layout-odom.json"]
-    assert unresolved(on_map, stages / "run/bag", without={"/points"}) == []
-    assert unresolved(on_odometry, stages / "record/bag", without={"/points", "/amcl_pose"}) == []
+    assert unresolved(on_map, stages / "patrol/bag", without={"/points"}) == []
+    assert unresolved(on_odometry, stages / "rec/bag", without={"/points", "/amcl_pose"}) == []
 
 
 def test_the_pages_on_files_name_every_file_of_every_stage(stages):
     page = (ROOT / "docs/files.md").read_text()
     rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", page, re.M))
-    for folder in ("record", "map", "run", "report"):
+    for folder in STAGES:
         manifest = json.loads((stages / folder / "manifest.json").read_text())
         parts = {path.partition("/")[0] + "/" * ("/" in path) for path in manifest["outputs"]}
         assert {part for part in parts if f"`{part}`" not in rows[manifest["stage"]]} == set()
@@ -72,7 +58,7 @@ def test_the_pages_on_files_name_every_file_of_every_stage(stages):
 def test_the_map_trajectory_is_within_three_centimetres_of_the_truth(stages):
     found = metrics(stages / "map")
     assert found["ate_m"]["rmse"] < 0.03
-    scans = load_tum(stages / "record" / "truth" / "trajectory.tum")
+    scans = load_tum(stages / "rec" / "truth" / "trajectory.tum")
     estimate = load_tum(stages / "map" / "trajectory.tum")
     np.testing.assert_array_equal(estimate.stamps_ns, scans.stamps_ns)
 
@@ -87,10 +73,10 @@ def test_the_map_shows_the_pillars_and_no_second_wall(stages):
     assert grid.value_at(np.array([[-2.0, -0.5], [0.0, 2.0], [2.0, 0.0]])).tolist() == [0, 0, 0]
 
 
-def test_both_waypoints_are_reached_without_a_touch(stages):
-    found = metrics(stages / "run")
+def test_every_waypoint_is_reached_without_a_touch(stages):
+    found = metrics(stages / "patrol")
     assert found["success"]
-    assert [goal["status"] for goal in found["goals"]] == ["reached", "reached"]
+    assert [goal["status"] for goal in found["goals"]] == ["reached"] * 8
     assert all(goal["error_m"] < 0.05 and goal["error_rad"] < 0.09 for goal in found["goals"])
     assert found["collisions"] == {"visible": 0, "low": 0}
     assert found["localisation_error_m"]["rmse"] < 0.03
@@ -100,7 +86,7 @@ def test_the_report_stands_alone_and_says_where_numbers_come_from(stages):
     page = (stages / "report" / "index.html").read_text()
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert "<svg" in page or 'src="data:image/' in page
-    for stage in ("record", "map", "run"):
+    for stage in STAGES[:-1]:
         manifest = json.loads((stages / stage / "manifest.json").read_text())
         assert manifest["outputs"]["config.yaml"][:12] in page
     assert "turtlebag map" in page
@@ -109,7 +95,7 @@ def test_the_report_stands_alone_and_says_where_numbers_come_from(stages):
 def test_every_number_of_the_report_is_computed_again_and_a_lie_of_the_maps_own_check_is_found(
     stages, tmp_path
 ):
-    for name in ("record", "map", "run", "report"):
+    for name in STAGES:
         shutil.copytree(stages / name, tmp_path / name)
     key = "turtlebot3_world/map:self_check.revisits"
     for file in (tmp_path / "map/metrics.json", tmp_path / "report/metrics.json"):
@@ -170,13 +156,13 @@ def wrong_inputs(stages):
         "unknown robot": (*record, "--world", "turtlebot3_world", "--robot", "r2d2"),
         "unknown teleop": ("record", "--seed", 1, "--world", "turtlebot3_world", "--teleop", "moonwalk"),
         "no such bag": ("map", stages / "nothing"),
-        "not a bag": ("map", stages / "lap.yaml"),
+        "not a bag": ("map", stages / "mine.yaml"),
         "image missing": (*goal, "--map", lonely, "--goal=0,2,0"),
         "goal in a wall": (*goal, "--map", map_yaml, "--goal=0,2.58,0"),
         "goal in a pillar": (*goal, "--map", map_yaml, "--goal=1.1,1.1,0"),
         "goal off the map": (*goal, "--map", map_yaml, "--goal=50,0,0"),
         "yaw not finite": (*goal, "--map", map_yaml, "--goal=0,2,nan"),
-        "unknown setting": ("map", stages / "record", "--set", "voxle=1"),
+        "unknown setting": ("map", stages / "rec", "--set", "voxle=1"),
     }
 
 
@@ -206,14 +192,12 @@ def test_bad_input_is_one_line_exit_2_and_nothing_written(stages, tmp_path, capf
 
 
 def test_a_robot_that_was_not_told_its_pose_refuses_and_says_so(stages, tmp_path):
-    goal = ("--task", "goal", "--goal=0,2,0", "--map", stages / "map" / "map.yaml")
-    assert turtlebag("navigate", "--world", "turtlebot3_world", *goal, "--out", tmp_path / "run") == 1
-    found = metrics(tmp_path / "run")
+    found = metrics(stages / "untold")
     assert found["goals"][0]["status"] == "rejected"
     assert "no initial pose" in found["goals"][0]["reason"]
     assert found["distance_m"] < 0.01
     # It ended before the first scan; that can be shown, and checked, too.
-    assert turtlebag("report", tmp_path / "run", "--no-animation", "--out", tmp_path / "report") == 0
+    assert turtlebag("report", stages / "untold", "--no-animation", "--out", tmp_path / "report") == 0
     seen = verify(tmp_path / "report", main)
     assert (seen.problems, seen.unchecked) == ([], [])
     assert "0 of 1 task succeeded" in (tmp_path / "report" / "index.html").read_text()
