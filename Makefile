@@ -139,7 +139,7 @@ bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question 
 	$(PY) -m benchmarks.sweep
 
 mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)
-	$(PY) -m benchmarks.mutants --seed $(SEED) $(if $(N),--count $(N))
+	$(PY) -m tests.mutants --seed $(SEED) $(if $(N),--count $(N))
 
 study-advice study-blame study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import Tree, report
-from benchmarks.mutants_draw import FOLDERS, draw, mutants_by_line
+from tests.mutants.__main__ import Tree, report
+from tests.mutants.draw import FOLDERS, draw, mutants_by_line
 
 ROOT = Path(__file__).parents[2]
 SOURCE = '''
@@ -92,7 +92,7 @@ def test_the_tests_that_import_the_module_are_asked_first_and_then_the_quick_one
 
 @pytest.mark.slow
 def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch):
-    monkeypatch.setattr("benchmarks.mutants.GRACE_S", 1.0)
+    monkeypatch.setattr("tests.mutants.__main__.GRACE_S", 1.0)
     source = (tree.path / "planners/a.py").read_text()
     lines = mutants_by_line(source, "planners/a.py")
     by_edit = {mutant.key.partition(" => ")[2]: mutant for line in lines for mutant in line}

@@ -1,11 +1,11 @@
 """Small mistakes made in the code one at a time: how many do the tests of its subject notice?
 
-python -m benchmarks.mutants [--seed 1] [--count 100] [--survivors] [--out DIR]
+python -m tests.mutants [--seed 1] [--count 100] [--survivors] [--out DIR]
 
 Every mutant is tried in a copy of the tree: first on the test files that import its module, then on the quick
 tests of the others in the same folder of `tests`. A row is written as soon as it is known, and the same
 command goes on from there; `--survivors` tries only those again that nothing noticed. Mutants that change
-nothing that matters are listed in mutants_equivalent.yaml with the reason, and do not count.
+nothing that matters are listed in equivalent.yaml with the reason, and do not count.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from typing import Any
 
 import yaml
 
-from benchmarks.mutants_draw import FOLDERS, Mutant, draw
 from benchmarks.runner import ROOT, Rows, interval, options
+from tests.mutants.draw import FOLDERS, Mutant, draw
 
-EQUIVALENT = Path(__file__).with_name("mutants_equivalent.yaml")
+EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
 CAUGHT = ("failed", "timeout")
 GRACE_S, COMPILE_S = 20.0, 150.0
 """Processor time of a run besides four times that of its tests, and what compiling a mutated kernel takes."""
@@ -144,7 +144,7 @@ def report(rows: list[dict[str, Any]], equivalent: dict[str, str]) -> str:
 
 
 def main() -> None:
-    parser = options(__doc__, "data/benchmarks/mutants", seed=1, count=100)
+    parser = options(__doc__, "data/mutants", seed=1, count=100)
     parser.add_argument("--survivors", action="store_true", help="try those again that nothing noticed")
     args = parser.parse_args()
     equivalent = yaml.safe_load(EQUIVALENT.read_text()) or {}
