@@ -130,8 +130,8 @@ bench-studio: $(READY) ## the studio: how late its frames are, bytes, speed with
 	$(PY) -m benchmarks.studio $(if $(MINUTES),--minutes $(MINUTES))
 bench-install: $(READY) ## the wheel and all it needs from the index, beside `datasets`, and the chain   (FOR=python3.12)
 	$(PY) -m benchmarks.install $(if $(FOR),--python $(FOR))
-bench-bags: $(READY) ## bags cut, flipped and killed
-	$(PY) -m benchmarks.bags_damage
+bench-bags: $(READY) ## bags cut and flipped, and every command killed
+	TURTLEBAG_DAMAGES=500 $(PY) -m pytest tests/datasets/test_bag_damage.py
 	$(PY) -m benchmarks.kills
 bench-front-ends: $(READY) ## all logs x all front ends x all seeds, a campaign that resumes (TURTLEBAG_DATA=folder of the public logs)
 	cd $${TURTLEBAG_DATA:?names no folder of public logs} && $(CURDIR)/$(TURTLEBAG) sweep $(CURDIR)/benchmarks/front_ends.yaml --out $(CURDIR)/data/benchmarks/front_ends
