@@ -129,7 +129,7 @@ bench-navigate: $(READY) ## campaigns of runs: patrol, goals, avoidance, BARN
 bench-studio: $(READY) ## the studio: how late its frames are, bytes, speed with and without a viewer   (MINUTES of patrol for its memory)
 	$(PY) -m benchmarks.studio $(if $(MINUTES),--minutes $(MINUTES))
 bench-install: $(READY) ## the wheel and all it needs from the index, beside `datasets`, and the chain   (FOR=python3.12)
-	$(PY) -m benchmarks.install $(if $(FOR),--python $(FOR))
+	TURTLEBAG_INSTALL_FOR=$(or $(FOR),$(PYTHON)) $(PY) -m pytest tests/test_wheel.py -k index
 bench-bags: $(READY) ## bags cut and flipped, and every command killed
 	TURTLEBAG_DAMAGES=500 $(PY) -m pytest tests/datasets/test_bag_damage.py
 	$(PY) -m benchmarks.kills

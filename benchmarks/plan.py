@@ -7,8 +7,8 @@ Reeds-Shepp and Dubins spaces. Length is over that of the truly shortest collisi
 (plan_shortest). Time is CPU time of one query, costmap ready. Every path found is checked anew, pose by
 pose. The Intel map is made by `turtlebag map` from TURTLEBAG_DATA/radish/intel.clf.bz2, and left out
 without it. `solved` is what the planner itself found, `answered` counts the last resorts of the product
-(the way over the cells), too. Written: tables, every query (plan.csv), a picture (plan.png), and logs in
-OMPL's format with their database (plan.db) for Planner Arena.
+(the way over the cells), too. Written: tables, every query (plan.csv), and logs in OMPL's format with their
+database (plan.db) for Planner Arena.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
@@ -39,7 +38,6 @@ from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, pla
 from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import densify
-from turtlebag.reports.figures.style import ODOMETRY, WIDTH_IN, new_figure, save_png, styled
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.worlds import load_world
 
@@ -55,12 +53,6 @@ MAPS = (
 POSE_MAPS = tuple(PLACES.values())
 SPACES = ("se2", "reeds_shepp", "dubins")
 LEAST_APART_M = 1.0
-PANELS = (
-    ("time_ms", "CPU time of a query [ms]", "log", 100.0),
-    ("ratio", "length / shortest", "linear", 1.05),
-    ("clearance_m", "least clearance [m]", "linear", math.nan),
-)
-"""Column, axis, its scale, target."""
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
 """Unsolvable queries, and the gap in footprints' widths."""
 
@@ -223,30 +215,6 @@ def table(rows: Sequence[Row], keys: tuple[str, ...]) -> list[Row]:
     return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups]
 
 
-def boxes(plans: Sequence[Row]) -> Figure:
-    """Planners side by side: how long they take, how long their paths are, how much room these keep.
-
-    A box is the middle half of the solved queries, its line the median, whiskers the 5th and 95th percentile;
-    a dashed line is the target. Behind each name, how many of its queries were solved.
-    """
-    planners = {planner: found for (planner,), found in grouped(plans, "planner").items()}
-    names = [f"{name}  {sum(row['solved'] for row in rows)}/{len(rows)}" for name, rows in planners.items()]
-    figure = new_figure(1.2 + 0.26 * len(names))
-    figure.set_figwidth(1.8 * WIDTH_IN)
-    axes, places = figure.subplots(1, len(PANELS), sharey=True), range(len(names))
-    for axis, (column, label, scale, target) in zip(axes, PANELS, strict=True):
-        values = [[r[column] for r in found if r["solved"]] for found in planners.values()]
-        axis.boxplot(
-            values, positions=places, orientation="horizontal", whis=(5, 95), showfliers=False,
-            manage_ticks=False,
-        )  # fmt: skip
-        axis.axvline(target, color=ODOMETRY, linestyle="--")
-        axis.set(xlabel=label, xscale=scale)
-    axes[0].set_yticks(places, names)
-    axes[0].invert_yaxis()
-    return figure
-
-
 def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
     """A log for each map, robot and space."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -293,8 +261,6 @@ def main() -> None:
     if not rows:
         return
     write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
-    with styled():
-        save_png(boxes([row for row in rows if row["space"] == args.spaces[0]]), args.out / "plan.png")
     default = [row for row in rows if row["planner"] == OmplConfig(space=row["space"]).name]
     write(args.out, "maps", table(default, ("space", "map", "robot")))
 

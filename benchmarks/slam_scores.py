@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from benchmarks.known import Known
 from benchmarks.runner import Row
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.trajectory import PosePairs, summary
@@ -39,9 +39,8 @@ def by_relations(estimate: Trajectory, relations: Relations) -> Row:
 def errors(estimate: SE2, reference: SE2) -> Row:
     """Errors against the pose of each scan (n,); scans whose reference is NaN do not count.
 
-    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `scaled_m` with the scale fitted as well, for a log
-    cannot tell that of its lidar; `anchored_*` with the first pose as the only anchor. `folded` is the share
-    of scans laid over a place they never saw.
+    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `anchored_*` with the first pose as the only anchor.
+    `folded` is the share of scans laid over a place they never saw.
     """
     sure = np.isfinite(reference.xyt).all(axis=1)
     estimate, true = estimate[sure], reference[sure]
@@ -49,24 +48,14 @@ def errors(estimate: SE2, reference: SE2) -> Row:
     fitted = PosePairs(number, estimate, true).aligned()
     anchored = PosePairs(number, true[0] @ estimate[0].inverse() @ estimate, true)
     fit, first = summary(fitted.position_errors()), summary(anchored.position_errors())
-    scale, scaled = _scaled(fitted.T_map_base.xy, true.xy)
     return {
         "m": fit["rmse"],
         "deg": float(np.degrees(summary(fitted.yaw_errors())["rmse"])),
         "worst_m": fit["max"],
-        "scaled_m": summary(scaled)["rmse"],
-        "scale": scale,
         "anchored_m": first["rmse"],
         "anchored_worst_m": first["max"],
         "folded": _folded(estimate, true),
     }
-
-
-def _scaled(fitted: Array, true: Array) -> tuple[float, Array]:
-    """The scale that brings rigidly fitted positions (n, 2) nearest to the true ones, and the errors left."""
-    a, b = fitted - fitted.mean(axis=0), true - true.mean(axis=0)
-    scale = float(np.sum(a * b) / max(np.sum(a * a), 1e-12))
-    return scale, np.linalg.norm(scale * a - b, axis=1)
 
 
 def _folded(estimate: SE2, true: SE2) -> float:

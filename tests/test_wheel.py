@@ -1,14 +1,18 @@
 """What others install: the wheel holds all of the package and nothing else, and works where no checkout is.
 
 The packages it needs are those of the environment that runs the tests, so nothing is fetched:
-`make bench-install` installs them from the index.
+`make bench-install` runs the last test, which installs them from the index.
 """
 
 import json
+import os
 import re
+import shutil
+import subprocess
 import sys
 import sysconfig
 import tarfile
+import tempfile
 import tomllib
 import zipfile
 from importlib import metadata
@@ -19,7 +23,6 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
-from benchmarks.install import CHAIN, built, run
 from turtlebag.datasets.kernels import folders
 from turtlebag.pipeline.setup.short_chain import SCRIPT
 
@@ -30,6 +33,15 @@ ROOMS = {
     "turtlebag": "pipeline/turtlebag",
     **{f"turtlebag/{name}": name for name in ("datasets", "pipeline", "planners", "reports", "sim")},
 }
+NOT_COPIED = (".*", "__pycache__", "*.egg-info", "build", "data", "dist", "docs", "tests")
+CHAIN = {
+    "record": "--world turtlebot3_world --teleop trial.yaml --seed 1 --out rec",
+    "map": "rec --truth rec/truth --out map",
+    "navigate": "--world turtlebot3_world --task goal --goal=-1.8,-0.5,0 --map map/map.yaml "
+    "--initial-pose start --out run",
+    "report": "run --no-animation --out report",
+}
+BESIDE = "import datasets, turtlebag, turtlebag.datasets; assert datasets.Dataset is not None"
 WHERE = """
 import datasets, turtlebag, turtlebag.datasets as ours
 print(datasets.__file__, turtlebag.__file__, ours.__file__)
@@ -41,6 +53,26 @@ from turtlebag.pipeline.cli.main import main
 for words in sys.argv[1:]:
     assert main(words.split()) == 0, words
 """
+
+
+def built(folder):
+    """The wheel of a copy of the checkout; `folder` gets the sdist that it is made of, too."""
+    with tempfile.TemporaryDirectory() as name:
+        copy = Path(name) / "checkout"
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*NOT_COPIED))
+        run([sys.executable, "-m", "build", "--no-isolation", "--outdir", folder.absolute(), copy], copy)
+    (wheel,) = folder.glob("*.whl")
+    return wheel
+
+
+def run(command, folder, **variables):
+    """What a command prints when run in a folder; only installed packages can be imported there."""
+    ours = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(
+        command, cwd=folder, env={**ours, **variables}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{' '.join(map(str, command))}:\n{done.stdout}{done.stderr}"
+    return done.stdout
 
 
 def package_files():
@@ -86,13 +118,13 @@ def test_the_wheel_works_in_an_empty_folder_beside_another_package_called_datase
     packages = next(environment.glob("lib/python*/site-packages"))
     (packages / "datasets.py").touch()
     (packages / "theirs.pth").write_text(sysconfig.get_path("purelib"))
-    imported, _ = run([python, "-c", WHERE], empty)
+    imported = run([python, "-c", WHERE], empty)
     assert [Path(file).relative_to(packages).as_posix() for file in imported.split()] == [
         "datasets.py",
         "turtlebag/__init__.py",
         "turtlebag/datasets/__init__.py",
     ]
-    worlds, _ = run([environment / "bin/turtlebag", "world", "list"], empty)
+    worlds = run([environment / "bin/turtlebag", "world", "list"], empty)
     assert "turtlebot3_world" in worlds
     (empty / "trial.yaml").write_text(SCRIPT)
     stages = [f"{stage} {words}" for stage, words in CHAIN.items()]
@@ -130,3 +162,17 @@ def test_the_dockerfile_is_the_commands_of_the_readme():
     assert SpecifierSet(PROJECT["project"]["requires-python"]).contains(python)
     (told,) = re.findall(r"Python ([\d.]+) or newer", (ROOT / "README.md").read_text())
     assert PROJECT["project"]["requires-python"] == f">={told}"
+
+
+@pytest.mark.skipif("TURTLEBAG_INSTALL_FOR" not in os.environ, reason="from the index: make bench-install")
+def test_the_chain_works_installed_from_the_index_beside_hugging_face_s_datasets(tmp_path):
+    environment, empty = tmp_path / "environment", tmp_path / "empty"
+    empty.mkdir()
+    run([os.environ["TURTLEBAG_INSTALL_FOR"], "-m", "venv", environment], empty)
+    pip = [environment / "bin/python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    run([*pip, built(tmp_path / "dist"), "datasets"], empty)
+    run([environment / "bin/python", "-c", BESIDE], empty)
+    (empty / "trial.yaml").write_text(SCRIPT)
+    for stage, words in CHAIN.items():
+        run([environment / "bin/turtlebag", stage, *words.split()], empty)
+    assert "turtlebot3_world" in (empty / "report/index.html").read_text()

@@ -7,7 +7,6 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
-from benchmarks.plan import boxes
 from benchmarks.plan_database import write_database, write_log
 from benchmarks.plan_shortest import Lattice
 from tests.helpers.planning_room import BURGER
@@ -172,12 +171,3 @@ def test_planner_arena_s_questions_have_answers(tmp_path):
         assert db.execute(missing).fetchall() == [("PRM", 0), ("RRT", 1)]
         assert db.execute("SELECT COUNT(*) FROM progress JOIN runs ON runs.id = runid").fetchone() == (0,)
         assert db.execute("PRAGMA foreign_key_check").fetchall() == []
-
-
-def test_planners_stand_side_by_side_in_the_picture():
-    runs = [
-        {"planner": p, "solved": 1, "time_ms": 5.0, "ratio": 1.1, "clearance_m": 0.1} for p in ("RRT", "PRM")
-    ]
-    time, ratio, clearance = boxes(runs).axes
-    assert [label.get_text() for label in time.get_yticklabels()] == ["RRT  1/1", "PRM  1/1"]
-    assert (time.get_xscale(), ratio.get_xscale(), clearance.get_xscale()) == ("log", "linear", "linear")

@@ -5,7 +5,6 @@ import importlib
 import json
 import os
 import time
-from collections import Counter
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -15,7 +14,6 @@ import pytest
 from benchmarks import runner as frame
 from benchmarks import slam_campaign
 from benchmarks.disturb import KINDS, SCORED
-from benchmarks.numbers import counted
 from benchmarks.runner import Case, Rows, every, in_processes
 from benchmarks.slam_detector import accuracy, detection, detector_cases, judged
 from benchmarks.slam_logs import BARE, MADE, MISHAPS, WORLDS, drive_cases, mishap_cases
@@ -185,23 +183,3 @@ def test_figures_of_many_maps_count_those_far_off_and_what_was_said_of_them():
     found = accuracy([drive, bad, {"error": "x"}])
     assert (found["maps"], found["errors"], found["under 10 cm"], found["of these good"]) == (2, 1, 1, 1)
     assert accuracy([{"error": "x"}]) == {"maps": 0, "errors": 1}
-
-
-def test_numbers_that_somebody_chose_are_counted():
-    source = """
-LEAST, MOST = 0.1, 2
-GATES = (0.2, 0.1, -0.1)
-VAR = 0.05**2
-NAMES = ("a", "b")
-SHAPE = np.array([1.0, 2.0])
-
-class Config(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    enabled: bool = True
-    gate_m: float = Field(default=0.3, gt=0.0)
-    name: str = "x"
-    inner: Inner = Inner()
-"""
-    settings, constants = counted(source)
-    assert settings == ["Config.enabled", "Config.gate_m"]
-    assert Counter(constants) == {"LEAST": 2, "GATES": 3, "VAR": 1, "SHAPE": 2}

@@ -184,14 +184,6 @@ def test_errors_of_a_map_that_is_turned_or_bent_are_known():
     assert errors(log.reference, SE2(moved))["worst_m"] < 1e-6
 
 
-def test_a_map_that_is_only_too_large_says_how_much_and_has_no_other_error():
-    log = a_log()
-    larger = SE2(log.reference.xyt * [1.01, 1.01, 1.0])
-    found = errors(larger, log.reference)
-    assert found["scale"] == pytest.approx(1.0 / 1.01)
-    assert found["scaled_m"] < 1e-6 < found["m"]
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_the_detector_keeps_a_pose_for_each_scan(kind):
     log = a_log()
