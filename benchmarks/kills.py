@@ -1,4 +1,4 @@
-"""Stages killed at random moments and started again; recordings killed and recovered.
+"""Stages killed at random moments and started again.
 
 python -m benchmarks.kills [--count 190] [--quick] [--only STAGE ...] [--seed 0] [--out DIR]
 
@@ -6,14 +6,12 @@ A small chain with every command that writes (kills.yaml) is made once undisturb
 SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
 finish, and every file but manifest.json has to have the bytes of the undisturbed run. Every stage runs in a
 process of its own, forked after the imports, so that the moments fall into the stage's work and not into its
-start. What a killed `record` leaves is recovered: nothing of it may look whole, and at most 2 s of data may
-be lost.
+start. (What a killed recording leaves is recovered by tests/datasets/test_bag_damage.py.)
 """
 
 from __future__ import annotations
 
 import importlib
-import mmap
 import os
 import pkgutil
 import signal
@@ -21,23 +19,14 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import yaml
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
-import turtlebag as tb
 from benchmarks.runner import options, write
-from turtlebag.datasets.bags.recover import recover
-from turtlebag.datasets.bags.source import open_bag
-from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_tree
-from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.cli.main import main as turtlebag
 
 Outcome = tuple[str, str, str]
@@ -71,7 +60,7 @@ def hashes(out: Path) -> dict[str, str]:
     return {"": found[out.name]} if out.is_file() else found
 
 
-def start(words: list[str], errors: Path, before: Callable[[], object] = lambda: None) -> int:
+def start(words: list[str], errors: Path) -> int:
     """Fork a process (and group) that runs the command line with stderr in a file; returns its pid."""
     sys.stdout.flush()
     pid = os.fork()
@@ -81,7 +70,6 @@ def start(words: list[str], errors: Path, before: Callable[[], object] = lambda:
             os.setsid()
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
-            before()
             code = turtlebag(words)
         except BaseException as error:
             os.write(2, f"{type(error).__name__}: {error}\n".encode())
@@ -157,62 +145,6 @@ def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> Iterato
                 wanted -= 1
 
 
-def recoveries(folder: Path, count: int, seed: int) -> Iterator[Outcome]:
-    """Recordings killed at a moment of their data and recovered."""
-    folder.mkdir()
-    tb.record("turtlebot3_world", out=folder / "whole")
-    full_s = max(m.log_time_ns for m in open_bag(folder / "whole").messages()) * 1e-9
-    for k, at in enumerate(np.random.default_rng(seed).uniform(0.0, full_s, count)):
-        yield "recover", f"{at:.3f}", one_recovery(folder / f"r{k}", at, full_s)
-
-
-def one_recovery(out: Path, kill_s: float, full_s: float) -> str:
-    """Outcome of a recording killed when it was so many seconds long."""
-    progress = mmap.mmap(-1, 8)
-
-    def tell() -> None:
-        kept = BagWriter.observation
-
-        def told(self: BagWriter, observation: Observation) -> None:
-            kept(self, observation)
-            progress[:8] = observation.stamp_ns.to_bytes(8, "little")
-
-        BagWriter.observation = told  # type: ignore[method-assign]
-
-    words = ["record", "-q", "--world", "turtlebot3_world", "--teleop", "tour", "--seed", "1", "--out"]
-    pid = start([*words, str(out)], out.with_name("stderr"), tell)
-    while int.from_bytes(progress[:8], "little") * 1e-9 < kill_s and not out.exists():
-        time.sleep(0.0005)
-    os.kill(pid, signal.SIGKILL)
-    finish(pid)
-    written = int.from_bytes(progress[:8], "little") * 1e-9
-    if out.exists():
-        return "finished before the kill" if looks_whole(out / "bag") else "BAD: half an output"
-    partial = out.with_name(out.name + ".partial")
-    if not (partial / "bag").exists():
-        return "killed before the bag was opened"
-    if looks_whole(partial / "bag") and written < full_s:
-        return "BAD: looks whole and is not"
-    try:
-        lost = written - recover(partial, out.with_name(out.name + ".saved")).end_ns * 1e-9
-    except InputError as error:
-        return "nothing on disk yet" if written < 2.0 else f"BAD: {error}"
-    if written > 3.0:
-        load_recording(out.with_name(out.name + ".saved"))
-    return f"recovered; lost {lost:.3f} s" if lost <= 2.0 else f"BAD: lost {lost:.3f} s"
-
-
-def looks_whole(bag: Path) -> bool:
-    """Whether metadata or the official reader would take it for a complete bag."""
-    if (bag / "metadata.yaml").exists():
-        return True
-    try:
-        with (bag / "bag_0.mcap").open("rb") as file:
-            return make_reader(file).get_summary() is not None
-    except (McapError, OSError):
-        return False
-
-
 def main() -> int:
     parser = options(__doc__, quick="one kill each", count=190, seed=0)
     stages = CHAIN["commands"]
@@ -226,8 +158,6 @@ def main() -> int:
         took = undisturbed(chain, args.only)
         print(", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in took.items()), flush=True)
         found = [*kills(chain, took, len(took) if args.quick else args.count, args.seed)]
-        if "record" in took:
-            found += recoveries(chain / "recordings", 10 if args.quick else args.count, args.seed)
     names = ("stage", "after_s", "outcome")
     write(args.out, "kills", [dict(zip(names, one, strict=True)) for one in found], show=False)
     counts = Counter((stage, outcome.partition(";")[0]) for stage, _, outcome in found)
