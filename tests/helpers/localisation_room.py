@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from tests.helpers.exact_rays import ranges_to, rectangle
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Scan
@@ -27,17 +28,7 @@ class Room:
 
     def ranges(self, T_room_lidar: SE2, angles: Array, range_max: float) -> Array:
         """Exact range of each beam; T_room_lidar is one pose or one a beam; inf beyond range_max."""
-        yaw = T_room_lidar.yaw + angles
-        d = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-        o = np.broadcast_to(T_room_lidar.xy, d.shape)
-        a, e = self.walls[:, :2], self.walls[:, 2:] - self.walls[:, :2]
-        w = a[None] - o[:, None]
-        cross = d[:, None, 0] * e[None, :, 1] - d[:, None, 1] * e[None, :, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (w[..., 0] * e[None, :, 1] - w[..., 1] * e[None, :, 0]) / cross
-            u = (w[..., 0] * d[:, None, 1] - w[..., 1] * d[:, None, 0]) / cross
-        nearest = np.where((t > 0.0) & (u >= 0.0) & (u <= 1.0), t, np.inf).min(axis=1)
-        return np.where(nearest <= range_max, nearest, np.inf)
+        return ranges_to(self.walls, T_room_lidar, angles, range_max)
 
     def grid(self, resolution: float = 0.05, margin: float = 0.5) -> OccupancyGrid:
         """Cells crossed by a wall are occupied, those connected to `inside` free, the rest unknown."""
@@ -58,16 +49,12 @@ class Room:
         return grid
 
 
-def box(x0: float, y0: float, x1: float, y1: float) -> list[list[float]]:
-    """The four walls of a rectangle."""
-    return [[x0, y0, x1, y0], [x1, y0, x1, y1], [x1, y1, x0, y1], [x0, y1, x0, y0]]
-
-
 def l_shaped_room() -> Room:
     """5 x 4 m with a slanted corner, a cupboard and a pillar; walls off cell centres to either side."""
     outline = [(0.013, 0.027), (5.041, 0.027), (5.041, 2.6), (3.9, 4.018), (0.013, 4.018)]
     walls = [[*a, *b] for a, b in zip(outline, outline[1:] + outline[:1], strict=True)]
-    return Room(np.array(walls + box(0.013, 3.04, 1.135, 4.018) + box(3.21, 0.915, 3.49, 1.19)), (2.0, 2.0))
+    cupboard, pillar = rectangle(0.013, 3.04, 1.135, 4.018), rectangle(3.21, 0.915, 3.49, 1.19)
+    return Room(np.vstack([walls, cupboard, pillar]), (2.0, 2.0))
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,9 @@ import numpy as np
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import RobotModel
+from turtlebag.sim.robots import load_robot
 
-BURGER = RobotModel(
-    "burger",
-    np.array([[-0.105, -0.105], [0.041, -0.105], [0.041, 0.105], [-0.105, 0.105]]),
-    0.22,
-    2.84,
-    1.0,
-    12.5,
-)
+BURGER = load_robot("burger").model
 
 
 def room(rows=40, cols=60, resolution=0.05) -> OccupancyGrid:

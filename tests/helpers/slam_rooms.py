@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from tests.helpers.exact_rays import rectangle, scans_of
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.pipeline.slam.track import TrackingConfig
@@ -12,38 +13,14 @@ from turtlebag.pipeline.slam.wheels import Wheels
 
 SICK = LidarSpec(180, -math.pi / 2, math.pi / 180.0, 0.05, 30.0)
 LDS = LidarSpec(360, 0.0, math.pi / 180.0, 0.12, 8.0)
-
-
-def rectangle(x0, y0, x1, y1):
-    """Four walls, (4, 4) as (xa, ya, xb, yb)."""
-    return np.array([[x0, y0, x1, y0], [x1, y0, x1, y1], [x1, y1, x0, y1], [x0, y1, x0, y0]], dtype=float)
-
-
 ROOM = np.vstack([rectangle(0, 0, 8, 6), rectangle(3, 2, 3.5, 4), rectangle(6, 0, 6.4, 1.5)])
 CORRIDOR = np.array([[-100.0, -1.0, 100.0, -1.0], [-100.0, 1.0, 100.0, 1.0]])
-
-
-def ranges_to(walls, poses, lidar):
-    """Exact ranges (n, beams) from poses (n, 3) to segments (m, 4); inf beyond the lidar's range."""
-    a, d = walls[:, :2], walls[:, 2:] - walls[:, :2]
-    out = np.full((len(poses), lidar.n_beams), np.inf)
-    for k, (x, y, yaw) in enumerate(poses):
-        u = np.stack([np.cos(yaw + lidar.angles), np.sin(yaw + lidar.angles)], axis=1)
-        o = a - np.array([x, y])
-        cross = u[:, None, 0] * d[None, :, 1] - u[:, None, 1] * d[None, :, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            r = (o[None, :, 0] * d[None, :, 1] - o[None, :, 1] * d[None, :, 0]) / cross
-            along = (o[None, :, 0] * u[:, None, 1] - o[None, :, 1] * u[:, None, 0]) / cross
-        hit = (r > 0.0) & (along >= 0.0) & (along <= 1.0)
-        out[k] = np.where(hit, r, np.inf).min(axis=1)
-    out[out > lidar.range_max] = np.inf
-    return out
 
 
 def recording(walls, poses, lidar=LDS, *, noise=0.01, odometry=None, seed=0):
     """A log of instantaneous scans at poses (n, 3), 5 Hz."""
     rng = np.random.default_rng(seed)
-    exact = ranges_to(walls, poses, lidar)
+    exact = scans_of(walls, poses, lidar)
     ranges = (exact + rng.normal(0.0, noise, exact.shape)).astype(np.float32)
     stamps = (np.arange(len(poses)) * 200_000_000 + 10**9).astype(np.int64)
     T_odom_base = None if odometry is None else SE2.from_array(odometry)

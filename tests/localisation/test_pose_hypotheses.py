@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box
+from tests.helpers.exact_rays import rectangle
+from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
@@ -23,8 +24,8 @@ from turtlebag.pipeline.localisation.pose_hypotheses import (
 )
 
 # Turned by half a circle about (2, 1.5) the hall is itself, but for the box where there is one.
-HALL = Room(np.array(box(0.013, 0.013, 3.987, 2.987)), (2.0, 1.5))
-WITH_A_BOX = Room(np.vstack([HALL.walls, box(0.5, 2.3, 1.1, 2.9)]), (2.0, 1.5))
+HALL = Room(rectangle(0.013, 0.013, 3.987, 2.987), (2.0, 1.5))
+WITH_A_BOX = Room(np.vstack([HALL.walls, rectangle(0.5, 2.3, 1.1, 2.9)]), (2.0, 1.5))
 HALF_TURN = SE2.from_xyt(4.0, 3.0, math.pi)
 
 

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box, l_shaped_room
+from tests.helpers.exact_rays import rectangle
+from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, l_shaped_room
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan
@@ -56,7 +57,7 @@ def few_candidates():
 
 def room(*, cupboard=True):
     parts = [(0.0, 0.0, 12.0, 4.0), *PILLARS, *([CUPBOARD] if cupboard else [])]
-    return Room(np.array([wall for part in parts for wall in box(*part)]), (4.0, 2.0))
+    return Room(np.vstack([rectangle(*part) for part in parts]), (4.0, 2.0))
 
 
 def world(*, cupboard=True):

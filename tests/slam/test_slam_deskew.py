@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.helpers.slam_rooms import ranges_to, rectangle
+from tests.helpers.exact_rays import ranges_to, rectangle
 from turtlebag.datasets.grid import OCCUPIED
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
@@ -51,7 +51,7 @@ def driven(v, w, faster):
     xy = np.vstack([np.zeros(2), np.cumsum(0.5 * (ways[1:] + ways[:-1]), axis=0)])
     path = Trajectory(np.round(seconds * 1e9).astype(np.int64), SE2.from_xyt(xy[:, 0], xy[:, 1], yaw))
     sent = path.at(np.round(np.arange(120) * LIDAR.time_increment * 1e9).astype(np.int64)) @ T_BASE_LIDAR
-    ranges = [np.diag(ranges_to(ROOM, (start @ sent).xyt, LIDAR)) for start in STARTS]
+    ranges = [ranges_to(ROOM, start @ sent, LIDAR.angles, LIDAR.range_max) for start in STARTS]
     stamps = np.arange(3) * 10**9
     odometry = Trajectory(
         np.concatenate([path.stamps_ns + stamp for stamp in stamps]),

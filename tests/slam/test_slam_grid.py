@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.helpers.slam_rooms import LDS, around_the_room, recording, rectangle
+from tests.helpers.exact_rays import rectangle
+from tests.helpers.slam_rooms import LDS, around_the_room, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.carmen_lines import carmen_text
-from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, recording
+from tests.helpers.exact_rays import scans_of
+from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.relations import Relations
@@ -250,7 +251,7 @@ def test_second_opinion_refuses_a_wrong_alignment():
     a, b = np.array([1.2, 1.0, 0.0]), np.array([1.5, 1.2, 0.3])
     scans = [
         LDS.directions[np.isfinite(r)] * r[np.isfinite(r), None]
-        for r in ranges_to(ROOM, np.array([a, b]), LDS)
+        for r in scans_of(ROOM, np.array([a, b]), LDS)
     ]
     true = (SE2(a).inverse() @ SE2(b)).xyt
     assert stays_put(scans[1], scans[0], true)

@@ -10,7 +10,8 @@ import pytest
 
 from benchmarks.slam_cost import there_and_back
 from tests.helpers.carmen_lines import carmen_text
-from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
+from tests.helpers.exact_rays import rectangle
+from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording
 from turtlebag.datasets.carmen import parse_carmen
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import box
+from tests.helpers.exact_rays import ranges_to, rectangle
 from tests.helpers.made_drives import Sensor, Wheels, make_log, sick
 from tests.helpers.made_logs import office_plan, office_route
-from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, ranges_to, recording
+from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, recording
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED
 from turtlebag.datasets.se2 import SE2
@@ -34,7 +34,7 @@ SWEEPS = {
     "upside down": turned_over(TURNING),
     "upside down and backwards": turned_over(BACKWARDS),
 }
-FOUR_WALLS = np.array(box(0.0, 0.0, 8.0, 6.0))
+FOUR_WALLS = rectangle(0.0, 0.0, 8.0, 6.0)
 T_BASE_LIDAR = SE2.from_xyt(0.1, 0.05, 0.4)
 
 
@@ -49,9 +49,7 @@ def swept(lidar: LidarSpec) -> tuple[Recording, SE2]:
     ranges = np.empty((len(stamps), lidar.n_beams), dtype=np.float32)
     for row, stamp in zip(ranges, stamps, strict=True):
         poses = base(stamp * 1e-9 + lidar.time_increment * np.arange(lidar.n_beams)) @ T_BASE_LIDAR
-        for beam, pose in enumerate(poses.xyt):
-            one = replace(lidar, n_beams=1, angle_min=float(lidar.angles[beam]))
-            row[beam] = ranges_to(FOUR_WALLS, pose[None], one)[0, 0]
+        row[:] = ranges_to(FOUR_WALLS, poses, lidar.angles, lidar.range_max)
     times = (10**10 + 10_000_000 * np.arange(-40, 240)).astype(np.int64)
     odometry = Trajectory(times, base(times * 1e-9))
     T_odom_base = base(stamps * 1e-9)

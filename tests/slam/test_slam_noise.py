@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, ranges_to, recording
+from tests.helpers.exact_rays import ranges_to
+from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.clouds import KNOTS, make_clouds, sweep_motion
@@ -73,7 +74,7 @@ def test_a_robot_that_stops_turning_within_a_sweep_sees_straight_walls():
     start, when = np.array([4.5, 3.0, 0.2]), np.arange(361) * (0.2 / 360)
     turned = np.where(when < 0.1, 1.5 * when, 0.15)  # 1.5 rad/s, then nothing
     poses = np.column_stack([np.full((361, 2), start[:2]), start[2] + turned])
-    ranges = np.array([[ranges_to(ROOM, poses[k : k + 1], lidar)[0, k] for k in range(360)]])
+    ranges = ranges_to(ROOM, SE2(poses[:360]), lidar.angles, lidar.range_max)[None]
     stamps = (when * 1e9).round().astype(np.int64)
     odometry = Trajectory(stamps, SE2(poses))
     log = Recording(

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording, rectangle
+from tests.helpers.exact_rays import rectangle
+from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
