@@ -22,12 +22,13 @@ from pathlib import Path
 import turtlebag as tb
 from benchmarks.runner import Row, held_mb, options, write
 from turtlebag.pipeline.campaign.campaign_file import Campaign
-from turtlebag.pipeline.campaign.case import Run, Where
+from turtlebag.pipeline.campaign.case import Where
 from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.campaign.engine import run_cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
 from turtlebag.pipeline.cli.main import main as turtlebag
+from turtlebag.pipeline.stages.run_again import Run
 
 WORKERS = 2
 MAPS = 40

@@ -139,9 +139,7 @@ class Campaign(Settings):
         for name, result in self.results.items():
             if result.at.partition(":")[0] not in self.stages or ":" not in result.at:
                 raise ValueError(f"results.{name}: expected STAGE:PATH with one of the stages")
-        wanted = [self.compare, *(figure.x for figure in self.figures), *(f.lines for f in self.figures)]
-        wanted += [figure.panels for figure in self.figures]
-        for factor in wanted:
+        for factor in (self.compare, *(name for f in self.figures for name in (f.x, f.lines, f.panels))):
             if factor is not None and factor not in self.factor_names:
                 raise ValueError(f"{factor} is not a factor of this campaign")
         for figure in self.figures:

@@ -9,7 +9,7 @@ import tarfile
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -22,12 +22,11 @@ from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.campaign.leases import made_once
 from turtlebag.pipeline.campaign.store import Store
+from turtlebag.pipeline.stages.run_again import Run
 from turtlebag.pipeline.terminal.messages import verbosity_kept
 from turtlebag.reports.numbers import lookup
 from turtlebag.reports.stages import read_json
 
-Run = Callable[[list[str]], int]
-"""Runs a command line, without its `turtlebag`, and gives the exit code."""
 Row = dict[str, Any]
 """A line of the table, by column."""
 Done = tuple[Row, float | None]

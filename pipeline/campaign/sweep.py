@@ -25,12 +25,13 @@ from turtlebag.datasets.outputs import (
 )
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
-from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
+from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Where, recipes
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
 from turtlebag.pipeline.campaign.progress import PAGE, Progress
 from turtlebag.pipeline.campaign.results import write_results
 from turtlebag.pipeline.campaign.store import UNFINISHED, Store, or_else
+from turtlebag.pipeline.stages.run_again import Run
 from turtlebag.pipeline.terminal.messages import log, track
 
 TELL_S = 60.0
