@@ -116,10 +116,8 @@ bench-sim: $(READY) ## simulated seconds per second, by world and robot
 	$(PY) -m benchmarks.sim
 bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-all
 	$(PY) -m benchmarks.slam_campaign --quick
-	$(PY) -m benchmarks.slam3d --quick
 bench-slam-all: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), drives, disturbances; resumes if stopped
 	$(PY) -m benchmarks.slam_campaign
-	$(PY) -m benchmarks.slam3d
 bench-localise: $(READY) ## localisation: accuracy, speed, global, kidnapped
 	$(PY) -m benchmarks.localise
 bench-plan: $(READY) ## planners: time, length, clearance, success

@@ -1,7 +1,5 @@
 """Accuracy and cost of 3D mapping, and what each package is worth in it.
 
-python -m benchmarks.slam3d [worlds] [worth] [--quick] [--out DIR]
-
 Simulated worlds with a Waffle Pi that carries a 16-beam lidar (exact truth; errors without alignment, those
 of clouds alone with the first pose as the only anchor), and drives through a made room and a ring of
 corridors with everything switched off once. Times are CPU seconds of one process, reading and writing
@@ -11,13 +9,12 @@ included.
 from __future__ import annotations
 
 import time
-from argparse import Namespace
 from functools import cache, lru_cache, partial
 from pathlib import Path
 
 import turtlebag as tb
-from benchmarks.runner import Row, Suite, every, options, parsed, run
-from benchmarks.slam_parts import VARIANTS, ablation_table
+from benchmarks.runner import Case, Row, every
+from benchmarks.slam_parts import VARIANTS
 from benchmarks.slam_scores import errors
 from tests.helpers.drives3d import Drive3d, changed, make_drive
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, run_slam_3d
@@ -73,16 +70,11 @@ def worth_row(log: str, variant: str) -> Row:
     return {"m": found, "cpu_s": spent, "verdict": result.check.verdict}
 
 
-def suites(args: Namespace) -> dict[str, Suite]:
-    """The worlds, and what each part is worth."""
-    kept = partial(world_row, out=args.out.absolute())
-    worlds = every(kept, world=WORLDS, sensors=("both", "lidar"))
-    worth = every(worth_row, log=("room", "corridors"), variant=VARIANTS["space"])
-    return {
-        "worlds": Suite(worlds, kept=False),
-        "worth": Suite(worth, summary=ablation_table, quick=len(VARIANTS["space"]), kept=False),
-    }
+def space_cases(out: Path) -> list[Case]:
+    """Every world, with wheels and without."""
+    return every(partial(world_row, out=out), world=WORLDS, sensors=("both", "lidar"))
 
 
-if __name__ == "__main__":
-    run(parsed(options(__doc__, "data/benchmarks/slam3d", "the made room only"), suites), suites)
+def worth_cases() -> list[Case]:
+    """Every variant in the made room, then in the corridors."""
+    return every(worth_row, log=("room", "corridors"), variant=VARIANTS["space"])

@@ -16,13 +16,14 @@ Suites:
   numbers    the numbers that matter most, halved and doubled (benchmarks.slam_parts)
   online     the mapper that works while the robot drives, beside the offline one
   growth     CPU seconds and memory of the whole command, by size of the log
+  space      simulated worlds in 3D, and worth: what each part is worth there (benchmarks.slam3d)
 
 Public logs are read from the folder in TURTLEBAG_DATA (its folders `radish` and `wild`). The order of a
 suite's cases is fixed, and any first part of it (--limit) is a fair sample; --quick takes a small one of
-the first six. Every map is a row, a JSON line in DIR/rows: the same command goes on where it was stopped.
-Rows of other code are measured again, unless --keep. Errors [m, deg]
-are those of the relations where a log has any, else after a rigid fit (`anchored`: with the first pose as
-the only anchor). CPU seconds are those of mapping alone.
+most. Every map is a row, a JSON line in DIR/rows: the same command goes on where it was stopped. Rows of
+other code are measured again, unless --keep. Errors [m, deg] are those of the relations where a log has any,
+else after a rigid fit (`anchored`: with the first pose as the only anchor). CPU seconds are those of mapping
+alone, in 3D with reading and writing.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 
 from benchmarks.runner import Suite, options, parsed, public, run
+from benchmarks.slam3d import space_cases, worth_cases
 from benchmarks.slam_cost import COSTS, ONLINE, growth_cases, online_cases
 from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_logs import (
@@ -48,6 +50,7 @@ from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py", "benchmarks/known.py")
 DISTURBED = (*MAPPER, "benchmarks/disturb.py")
 SIMULATED = (*DISTURBED, "sim", "benchmarks/slam_logs.py")
+SPACE = (*SIMULATED, "pipeline/slam3d", "benchmarks/slam3d.py", "tests/helpers/drives3d.py")
 BASICS = ("case", "scans", "m", "deg", "worst_m")
 ENDS = ("verdict", "reasons", "loops", "cpu_s", "error")
 EXACT = (*BASICS, "anchored_m", "anchored_worst_m")
@@ -78,6 +81,8 @@ def suites(args: Namespace) -> dict[str, Suite]:
         "numbers": Suite(number_cases(data), (*EXACT, *ENDS), number_table, code=SIMULATED),
         "online": Suite(online_cases(data), ONLINE, quick=8, code=SIMULATED),
         "growth": Suite(growth_cases(data), ("case", *COSTS, "error"), code=grown),
+        "space": Suite(space_cases(out), code=SPACE),
+        "worth": Suite(worth_cases(), summary=ablation_table, quick=10, code=SPACE),
     }
 
 
