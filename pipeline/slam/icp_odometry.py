@@ -1,8 +1,8 @@
 """ICP odometry (front end `lines`): each scan matched with the last key scans, several hypotheses competing.
 
 Odometry can be wrong (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
-therefore aligned from several starts - odometry, constant velocity - and scored by how well it fits
-where the key scans looked. Odometry is a heavy-tailed prior of the alignment: it determines
+therefore aligned from several starts - odometry, constant velocity, standstill - and scored by how well it
+fits where the key scans looked. Odometry is a heavy-tailed prior of the alignment: it determines
 the directions that the scan cannot observe and gives way where the scan contradicts it. Wheels that the scans
 keep contradicting are ignored until the scans confirm them. Scans without surfaces (posts, legs)
 are registered by KISS-ICP.
@@ -10,6 +10,7 @@ are registered by KISS-ICP.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -31,9 +32,10 @@ from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.kiss import SURELY_BETTER, KissIcp
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
-from turtlebag.pipeline.slam.track import confirms
+from turtlebag.pipeline.slam.track import HYPOTHESES, confirms
 from turtlebag.pipeline.slam.tracker import Tracker
 
+STANDSTILL = HYPOTHESES.index("standstill")
 # Gauss-Newton steps from one start.
 ITERATIONS = 10
 # Without odometry the last motion is expected to go on, with this share of an odometry step's information.
@@ -93,15 +95,13 @@ class Lines:
     def _on_surfaces(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
         """From the odometry, if there is any and it is believed, and from a steady motion."""
         tracker = self.tracker
-        steady = compose(tracker.pose, tracker.velocity)
+        starts, share = [(1, compose(tracker.pose, tracker.velocity))], STEADY_SHARE
         expected = tracker.velocity if odometry_step is None else odometry_step
-        information = tracker.config.odometry.information(expected)
-        if odometry_step is None:
-            return self._by_lines(scan, [(0, steady)], STEADY_SHARE * information)
-        starts = [(0, compose(tracker.pose, odometry_step)), (1, steady)]
-        if not self.wheels.believed:
-            return self._by_lines(scan, starts[::-1], STEADY_SHARE * information)
-        return self._by_lines(scan, starts, information)
+        if odometry_step is not None:
+            starts.append((0, compose(tracker.pose, odometry_step)))
+            if self.wheels.believed:
+                starts, share = starts[::-1], 1.0
+        return self._by_lines(scan, starts, share * tracker.config.odometry.information(expected))
 
     def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[Alignment, bool, range]:
         """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.
@@ -144,6 +144,11 @@ class Lines:
             other = self._best(scan, [(0, carried)], carried, config.odometry.information(step))
             if other is not None and (best is None or other[2] < best[2]):
                 best = other
+        if any(math.dist(start[:2], tracker.pose[:2]) > ROUGH.gate for _, start in starts):
+            # wheels may spin before an obstacle, and partners are not looked for so far
+            still = self._best(scan, [(STANDSTILL, tracker.pose)], guess, information)
+            if still is not None and still[0].agreement >= SURELY_THERE:
+                best = min(best or still, still, key=lambda found: found[2])
         if best is None or best[2] > self._usual_cost + FITS:
             wide = self._recover(scan, [pose for _, pose in starts])
             again = self._best(scan, [(3, wide)], guess, information)

@@ -147,6 +147,6 @@ def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray
 
 def hypothesis_shares(track: Track) -> dict[str, float]:
     """How often each start of the front end won."""
-    counts = np.bincount(track.source[1:], minlength=len(HYPOTHESES)) if len(track.source) > 1 else [0] * 4
+    counts = np.bincount(track.source[1:], minlength=len(HYPOTHESES))
     total = max(int(np.sum(counts)), 1)
     return {name: float(count) / total for name, count in zip(HYPOTHESES, counts, strict=True)}

@@ -13,7 +13,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
 from turtlebag.pipeline.slam.pose_graph import WEAK
 
-HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
+HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery", "standstill")
 # How well scans and odometry must agree on a motion [m]; [rad], and as a share of the motion.
 AGREE_M, AGREE = 0.3, 0.15
 # A scan is blind when it sees this share along one direction of what it sees along the other, or less.
