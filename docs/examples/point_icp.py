@@ -43,7 +43,7 @@ class PointIcp:
         tracker, clouds, parts = self._tracker, self._tracker.clouds, []
         if self._keys != len(tracker.keys):
             self._keys = len(tracker.keys)
-            for key, pose in zip(tracker.keys[-KEYS:], tracker.key_poses[-KEYS:], strict=True):
+            for key, pose in zip(*tracker.last_keys(KEYS), strict=True):
                 rows = slice(clouds.starts[key], clouds.starts[key + 1])
                 normals = _moved([0, 0, pose[2]], clouds.normals[rows]) * clouds.line_ok[rows, None]
                 parts.append(np.hstack([_moved(pose, clouds.points[rows]), normals]))

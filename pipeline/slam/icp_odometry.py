@@ -168,7 +168,7 @@ class Lines:
         if usable < MIN_LINES:
             return None
         tried: list[Array] = []
-        keys, poses = np.array(tracker.keys[-NEIGHBOURS:]), np.array(tracker.key_poses[-NEIGHBOURS:])
+        keys, poses = tracker.last_keys(NEIGHBOURS)
         limits = ROUGH._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
         for source, start in starts:
             # starts that a good match would not tell apart end at the same pose

@@ -63,7 +63,7 @@ class KissIcp:
         tracker = self._tracker
         if tracker.clouds.placed_by(tracker.scan) == "points":
             return point_information(points) / (VOXELS * VOXEL_M) ** 2
-        keys, poses = np.array(tracker.keys[-NEIGHBOURS:]), np.array(tracker.key_poses[-NEIGHBOURS:])
+        keys, poses = tracker.last_keys(NEIGHBOURS)
         as_is = ROUGH._replace(iterations=0, most_points=MOST_POINTS)
         return align(tracker.clouds, tracker.scan, pose, keys, poses, as_is).information
 
@@ -71,7 +71,7 @@ class KissIcp:
         """KISS-ICP with the map of the last key scans."""
         tracker = self._tracker
         kiss = LidarOdometry(tracker.max_range)
-        for key, pose in zip(tracker.keys[-FIELD_KEYS:], tracker.key_poses[-FIELD_KEYS:], strict=True):
+        for key, pose in zip(*tracker.last_keys(FIELD_KEYS), strict=True):
             kiss.update(tracker.clouds.of(key), pose, pose)
         return kiss
 

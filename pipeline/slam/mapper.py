@@ -220,7 +220,7 @@ class Mapper:
         """A new key scan for the graph, if there is one, and one more alignment."""
         if len(tracker.keys) > len(loops.poses):
             steps = step_constraints(tracker.track(len(loops.poses) - 1), self.config.tracking)
-            T_last_key = between(*tracker.key_poses[-2:])
+            T_last_key = between(*tracker.last_keys(2)[1])
             loops.add_key(KeyScans(tracker.clouds, np.array(tracker.keys)), T_last_key, steps)
         before = self.T_map_base
         if loops.work():

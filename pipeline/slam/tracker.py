@@ -97,10 +97,10 @@ class Tracker:
         """Where the last scan was placed (3,)."""
         return self.placed.T_track_base
 
-    @property
-    def key_poses(self) -> list[Array]:
-        """Where the key scans are, (3,) each."""
-        return [self.pose_of(key) for key in self.keys]
+    def last_keys(self, n: int) -> tuple[NDArray[np.int64], Array]:
+        """The last n key scans, (k,), and where they are, (k, 3)."""
+        keys = self.keys[-n:]
+        return np.array(keys), np.array([self.pose_of(key) for key in keys])
 
     def pose_of(self, scan: int) -> Array:
         """Where a scan is taken to be by now (3,)."""
@@ -120,9 +120,7 @@ class Tracker:
     def field(self) -> Field:
         """The last key scans as a field to search in."""
         if self._field is None:
-            keys = self.keys[-FIELD_KEYS:]
-            poses = np.array([self.pose_of(key) for key in keys])
-            self._field = make_field(self.clouds, np.array(keys), poses, FIELD_M, FIELD_M)
+            self._field = make_field(self.clouds, *self.last_keys(FIELD_KEYS), FIELD_M, FIELD_M)
         return self._field
 
     def track(self, first: int = 0) -> Track:
@@ -152,8 +150,8 @@ class Tracker:
         """Learn the odometry's systematic errors as far as the key scans show them."""
         if self.odometry is not None and self.config.calibration and len(self.keys) > 1:
             T_odom_keys = SE2(self.odometry[self.keys])
-            keys, T_track_keys = np.array(self.keys), SE2(np.array(self.key_poses))
-            self.calibration = calibrate(self.clouds, keys, T_track_keys, T_odom_keys)
+            keys, T_track_keys = self.last_keys(len(self.keys))
+            self.calibration = calibrate(self.clouds, keys, SE2(T_track_keys), T_odom_keys)
 
     def _has_matches(self, scan: int) -> bool:
         """Whether others can be matched with a scan."""
