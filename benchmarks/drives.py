@@ -24,8 +24,6 @@ from turtlebag.sim.worlds import load_world
 V, W = 0.22, 0.9
 PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 """The tutorial's worlds, each with its robot."""
-INTEL = ("radish", "intel.clf.bz2")
-"""Where the log of the Intel lab lies in the public data."""
 
 
 @dataclass(frozen=True)

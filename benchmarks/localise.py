@@ -26,8 +26,8 @@ from typing import get_args
 
 import numpy as np
 
-from benchmarks.drives import INTEL, PLACES, Maps, Place, Sweep, built_map, kidnapped
-from benchmarks.runner import Row, Suite, every, options, parsed, public, run, share
+from benchmarks.drives import PLACES, Maps, Place, Sweep, built_map, kidnapped
+from benchmarks.runner import Row, Suite, every, options, parsed, public_log, run, share
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording
@@ -178,7 +178,7 @@ def found(rows: list[Row]) -> list[Row]:
 
 def suites(args: Namespace) -> dict[str, Suite]:
     """Tables and kinds of episodes."""
-    sensors, out, log = args.sensors, args.out.absolute(), public(*INTEL)
+    sensors, out, log = args.sensors, args.out.absolute(), public_log("intel")
     seconds, seeds = (60.0, range(1, 3)) if args.quick else (180.0, range(1, 6))
     followed = partial(accuracy, sensors=sensors, seconds=seconds, out=out)
     maps = {"place": PLACES, "map": ("true", "slam")}

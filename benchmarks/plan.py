@@ -24,11 +24,11 @@ from typing import get_args
 
 import numpy as np
 
-from benchmarks.drives import INTEL, PLACES, built_map
+from benchmarks.drives import PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
 from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_shortest import Lattice
-from benchmarks.runner import Row, Suite, every, grouped, options, parsed, public, run, write
+from benchmarks.runner import Row, Suite, every, grouped, options, parsed, public_log, run, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -74,7 +74,7 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
     """A map and random queries between poses that one floor joins."""
     robot = load_robot(robot_name)
     if name == "intel":
-        log = public(*INTEL)
+        log = public_log("intel")
         assert log is not None
         grid = built_map(log, out / "intel_map").occupancy
         costmap = costmap_from_grid(grid, CostmapConfig())
@@ -232,7 +232,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
     """Plans, and goals that cannot be reached."""
     out, quick = args.out.absolute(), args.quick
     queries = args.queries or (4 if quick else 10)
-    there = [m for m in (MAPS[:2] if quick else MAPS) if m[0] != "intel" or public(*INTEL)]
+    there = [m for m in (MAPS[:2] if quick else MAPS) if m[0] != "intel" or public_log("intel")]
     plans, refusals = [], []
     for map, robot in there:
         for space in args.spaces:

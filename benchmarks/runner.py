@@ -56,6 +56,11 @@ def public(*names: str) -> Path | None:
     return path if path is not None and path.exists() else None
 
 
+def public_log(name: str) -> Path | None:
+    """A log of the public data by its name; None when it is not there."""
+    return public("radish", f"{name}.clf.bz2") or public("wild", f"{name}.clf.bz2")
+
+
 def held_mb(process: int | str = "self") -> float:
     """Memory that a process holds now [MB]."""
     pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])

@@ -61,14 +61,12 @@ MADE = (*EXACT, "folded", "driven_m", "odometry_m")
 
 def suites(args: Namespace) -> dict[str, Suite]:
     """Every suite by name; without the public logs those that need them have no cases."""
-    out, data = args.out.absolute(), public() if public("radish") else None
-    logs, disturbed = (log_cases(data, out), disturbed_cases(data)) if data else ([], [])
-    drives = by("world", "robot", "teleop")
+    out, drives = args.out.absolute(), by("world", "robot", "teleop")
     made = (*SIMULATED, "tests/helpers/made_drives.py", "tests/helpers/made_logs.py")
     grown = (*SIMULATED, "pipeline/stages/map.py", "benchmarks/slam_cost.py")
     return {
-        "logs": Suite(logs, (*BASICS, *COLUMNS, *ENDS), quick=99, code=MAPPER),
-        "disturbed": Suite(disturbed, (*RELATIONS, *ENDS), quick=15, code=DISTURBED),
+        "logs": Suite(log_cases(out), (*BASICS, *COLUMNS, *ENDS), quick=99, code=MAPPER),
+        "disturbed": Suite(disturbed_cases(), (*RELATIONS, *ENDS), quick=15, code=DISTURBED),
         "drives": Suite(drive_cases(), (*WORLD, *ENDS), drives, quick=12, code=SIMULATED),
         "fast50": Suite(fast_cases(), (*EXACT, *ENDS), by("sensors"), quick=6, code=SIMULATED),
         "mishaps": Suite(mishap_cases(out), (*MADE, *ENDS), by("lidar"), quick=20, code=SIMULATED),
@@ -76,11 +74,11 @@ def suites(args: Namespace) -> dict[str, Suite]:
             detector_cases(), ("half", *EXACT, "limit_m", "bad", *ENDS), detection, judged, 26, made
         ),
         "worlds": Suite(world_cases(out), (*WORLD, *ENDS), code=SIMULATED),
-        "ablation": Suite(ablation_cases(data), (*EXACT, *ENDS), ablation_table, code=SIMULATED),
-        "parts": Suite(ablation_cases(data, CHOICES, PARTS), (*EXACT, *ENDS), ablation_table, code=SIMULATED),
-        "numbers": Suite(number_cases(data), (*EXACT, *ENDS), number_table, code=SIMULATED),
-        "online": Suite(online_cases(data), ONLINE, quick=8, code=SIMULATED),
-        "growth": Suite(growth_cases(data), ("case", *COSTS, "error"), code=grown),
+        "ablation": Suite(ablation_cases(), (*EXACT, *ENDS), ablation_table, code=SIMULATED),
+        "parts": Suite(ablation_cases(CHOICES, PARTS), (*EXACT, *ENDS), ablation_table, code=SIMULATED),
+        "numbers": Suite(number_cases(), (*EXACT, *ENDS), number_table, code=SIMULATED),
+        "online": Suite(online_cases(), ONLINE, quick=8, code=SIMULATED),
+        "growth": Suite(growth_cases(), ("case", *COSTS, "error"), code=grown),
         "space": Suite(space_cases(out), code=SPACE),
         "worth": Suite(worth_cases(), summary=ablation_table, quick=10, code=SPACE),
     }

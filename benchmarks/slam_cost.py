@@ -20,8 +20,8 @@ import numpy as np
 import yaml
 
 import turtlebag as tb
-from benchmarks.runner import Case, Row, held_mb
-from benchmarks.slam_logs import FAR, RADISH, by_name, mapped, public_log, read
+from benchmarks.runner import Case, Row, held_mb, public_log
+from benchmarks.slam_logs import FAR, RADISH, by_name, mapped, read
 from benchmarks.slam_scores import scored
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import UNKNOWN
@@ -100,10 +100,10 @@ def _compiled() -> set[Path]:
     return {file for folder in folders() for file in folder.glob("*.kernel")}
 
 
-def growth_cases(data: Path | None) -> list[Case]:
+def growth_cases() -> list[Case]:
     """The public logs there are, then the arena and the floor in all sizes."""
-    logs = {"Intel": public_log(data, "intel"), GROWN: public_log(data, "aces")} if data else {}
-    cases = [Case(name, partial(log_row, log, name == GROWN)) for name, log in logs.items() if log.is_file()]
+    logs = {"Intel": public_log("intel"), GROWN: public_log("aces")}
+    cases = [Case(name, partial(log_row, log, name == GROWN)) for name, log in logs.items() if log]
     cases += [
         Case(f"arena, {laps} x", partial(driven_row, "turtlebot3_world", "burger", laps)) for laps in LAPS
     ]
@@ -185,9 +185,9 @@ def costs(mapper: Mapper, spent: list[float], held: list[float]) -> Row:
     }
 
 
-def online_row(data: Path | None, log: str) -> Row:
+def online_row(log: str) -> Row:
     """A log by its name, online beside offline."""
-    made = by_name(data, log)
+    made = by_name(log)
     result, offline = mapped(made.recording)
     given, end, row = online(made.recording)
     told = {"offline_m": result.trajectory, "end_m": end, "driving_m": given}
@@ -228,12 +228,11 @@ def hours_row() -> Row:
     return {"driving_m": driving_m} | costs(mapped_so_far.mapper, spent, held)
 
 
-def online_cases(data: Path | None) -> list[Case]:
+def online_cases() -> list[Case]:
     """Public logs there are, drives, synthetic logs, 20,000 scans, two hours."""
     made = (*DRIVES, "hall-plain-1", "office-all-1")
-    there = [name for name in PUBLIC if data and public_log(data, name).is_file()]
-    cases = [Case(name, partial(online_row, data, name)) for name in (*there, *made)]
+    cases = [Case(name, partial(online_row, name)) for name in (*filter(public_log, PUBLIC), *made)]
     cases.append(Case(f"arena, {HOURS:g} h", hours_row))
-    if "aces" in there:
-        cases.append(Case(GROWN, partial(long_row, public_log(data, "aces"))))
+    if aces := public_log("aces"):
+        cases.append(Case(GROWN, partial(long_row, aces)))
     return cases

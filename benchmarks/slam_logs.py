@@ -15,7 +15,7 @@ from PIL import Image
 import turtlebag as tb
 from benchmarks.disturb import KINDS, MODES, disturbed
 from benchmarks.known import NO_RELATIONS, Known, chosen, known
-from benchmarks.runner import Case, Row
+from benchmarks.runner import Case, Row, public, public_log
 from benchmarks.slam_scores import by_relations, errors, scored
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
@@ -287,16 +287,11 @@ def read(log: Path) -> Known:
     return known(recording, SE2(places), load_relations(relations) if relations.is_file() else NO_RELATIONS)
 
 
-def public_log(data: Path, name: str) -> Path:
-    """Where a public log lies."""
-    return data / ("radish" if name in RADISH else "wild") / f"{name}.clf.bz2"
-
-
-def by_name(data: Path | None, name: str) -> Known:
+def by_name(name: str) -> Known:
     """A log with what is known of it.
 
     Names are those of MADE, of worlds of PLACES (with `-robot-script-seed` where that is not a burger's first
-    tour), and of the public logs in `data`.
+    tour), and of the public logs.
     """
     if name in MADE:
         return mishap(*MADE[name])
@@ -304,15 +299,14 @@ def by_name(data: Path | None, name: str) -> Known:
     if place.partition(":")[0] in PLACES:
         robot, teleop, seed = drive or ("burger", "tour", "1")
         return driven(place, robot, teleop, int(seed))[0]
-    assert data is not None
-    return read(public_log(data, name))
+    log = public_log(name)
+    assert log is not None
+    return read(log)
 
 
-def log_row(
-    data: Path | None, log: str, settings: dict[str, Any] | None = None, pictures: Path | None = None
-) -> Row:
+def log_row(log: str, settings: dict[str, Any] | None = None, pictures: Path | None = None) -> Row:
     """A log by its name, mapped with some settings."""
-    made = by_name(data, log)
+    made = by_name(log)
     result, row = mapped(made.recording, settings)
     if pictures is not None:
         picture(result.grid, pictures / "maps", log)
@@ -340,19 +334,20 @@ def disturbed_row(log: Path, mode: str) -> Row:
     return row | {"before_m": same["m"], "before_deg": same["deg"], "ratio": row["m"] / same["m"]}
 
 
-def log_cases(data: Path, pictures: Path) -> list[Case]:
+def log_cases(pictures: Path) -> list[Case]:
     """The public logs there are."""
-    found = [public_log(data, name) for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
+    wild = public("wild")
+    names = [stem(log) for log in sorted(wild.glob("*.clf.bz2"))] if wild else []
     cases = []
-    for name in (stem(log) for log in found if log.is_file()):
+    for name in [*filter(public_log, RADISH), *names]:
         published = dict(zip(COLUMNS, PUBLISHED.get(name, ()), strict=False))
-        cases.append(Case(name, partial(log_row, data, name, SETTINGS.get(name), pictures), published))
+        cases.append(Case(name, partial(log_row, name, SETTINGS.get(name), pictures), published))
     return cases
 
 
-def disturbed_cases(data: Path) -> list[Case]:
+def disturbed_cases() -> list[Case]:
     """Each public log with relations in each mode; the first fifteen are each mode once."""
-    logs = [log for name in RADISH if (log := public_log(data, name)).is_file()]
+    logs = [log for name in RADISH if (log := public_log(name))]
     cases = []
     for shift in range(len(logs)):
         for k, mode in enumerate(MODES):

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from benchmarks.runner import SPAWN, Case, Row
+from benchmarks.runner import SPAWN, Case, Row, public_log
 from benchmarks.slam_logs import MADE, PLACES, log_row
 from turtlebag.pipeline.slam.slam import SlamConfig
 
@@ -43,19 +43,17 @@ FACTORS = (1.0, 0.5, 2.0)
 LOGS_OF_NUMBERS = ("mit-csail", "turtlebot3_house", "fr079", "aces", "intel")
 
 
-def there(data: Path | None, logs: Sequence[str]) -> list[str]:
+def there(logs: Sequence[str]) -> list[str]:
     """The logs that are there, or can be made."""
-    return [log for log in logs if log in MADE or log in PLACES or data is not None]
+    return [log for log in logs if log in MADE or log in PLACES or public_log(log)]
 
 
-def ablation_cases(
-    data: Path | None, variants: Iterable[str] = ABLATIONS, logs: Sequence[str] = ABLATED
-) -> list[Case]:
+def ablation_cases(variants: Iterable[str] = ABLATIONS, logs: Sequence[str] = ABLATED) -> list[Case]:
     """Every variant on every log there is."""
     cases = []
     for variant in variants:
-        for log in there(data, logs):
-            measure = partial(log_row, data, log, ABLATIONS[variant])
+        for log in there(logs):
+            measure = partial(log_row, log, ABLATIONS[variant])
             cases.append(Case(f"{log}, {variant}", measure, {"log": log, "variant": variant}))
     return cases
 
@@ -73,13 +71,13 @@ def _told(row: Row) -> str:
     return f"{row['m']:.4f}{turned}{'' if row['verdict'] == 'good' else ' d'} ({row['cpu_s']:.0f} s)"
 
 
-def number_row(data: Path | None, log: str, name: str, factor: float) -> Row:
+def number_row(log: str, name: str, factor: float) -> Row:
     """`multiplied_row` in a process of its own: kernels take a constant's value when they are compiled."""
     with ProcessPoolExecutor(1, SPAWN) as pool:
-        return pool.submit(multiplied_row, data, log, name, factor).result()
+        return pool.submit(multiplied_row, log, name, factor).result()
 
 
-def multiplied_row(data: Path | None, log: str, name: str, factor: float) -> Row:
+def multiplied_row(log: str, name: str, factor: float) -> Row:
     """A log with a number multiplied, for this process too."""
     section, _, fields = NUMBERS[name].partition(": ")
     settings: dict[str, Any] = {}
@@ -90,7 +88,7 @@ def multiplied_row(data: Path | None, log: str, name: str, factor: float) -> Row
             settings = {part: settings}
     else:
         multiply_constant(section, factor, setattr)
-    return log_row(data, log, settings)
+    return log_row(log, settings)
 
 
 def multiply_constant(where: str, factor: float, change: Callable[[object, str, Any], None]) -> None:
@@ -103,15 +101,15 @@ def multiply_constant(where: str, factor: float, change: Callable[[object, str, 
             change(module, constant, now)
 
 
-def number_cases(data: Path | None) -> list[Case]:
+def number_cases() -> list[Case]:
     """Every number halved and doubled on every log there is, log by log; and once as it is."""
     cases = []
-    for log in there(data, LOGS_OF_NUMBERS):
+    for log in there(LOGS_OF_NUMBERS):
         for name in NUMBERS:
             for factor in FACTORS if name == next(iter(NUMBERS)) else FACTORS[1:]:
                 number = name if factor != 1.0 else "as it is"
                 about = {"log": log, "number": number, "factor": factor}
-                measure = partial(number_row, data, log, name, factor)
+                measure = partial(number_row, log, name, factor)
                 cases.append(Case(f"{log}, {number}, {factor}", measure, about))
     return cases
 

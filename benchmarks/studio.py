@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from tornado.websocket import WebSocketClientConnection
 
-from benchmarks.runner import SPAWN, Row, held_mb, options, public, write
+from benchmarks.runner import SPAWN, Row, held_mb, options, public_log, write
 from docs.examples.studio_client import Client
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
@@ -249,7 +249,7 @@ def main() -> None:
         with studio("turtlebot3_house", None) as (url, _):
             rows.append(asyncio.run(exploring(url)))
         write(args.out, "studio", rows)
-        if log := public("wild", "aces.clf.bz2"):
+        if log := public_log("aces"):
             write(args.out, "studio_aces", [aces(log)])
         write(args.out, "studio_viewer", [speeds])
         if args.minutes:
