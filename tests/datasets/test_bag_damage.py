@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -57,11 +58,12 @@ def refusal(check, *given):
     return said
 
 
-def read_up_to_the_damage(path, whole):
+def read_up_to_the_damage(path, whole, *, checksums=True):
+    """Without checksums a cut that takes no message may go unnoticed: of a database, within the last page."""
     bag = open_bag(path)
     found = [(m.topic.name, m.log_time_ns, m.data) for m in bag.messages()]
     assert found == whole[: len(found)]
-    assert bag.notes
+    assert bag.notes or (found == whole and not checksums)
 
 
 def scanned_up_to_the_damage(path, ranges):
@@ -145,7 +147,7 @@ def test_bags_without_checksums_end_in_data_or_one_error(drive, tmp_path, conver
     content, whole, path = file.read_bytes(), messages_of(file), tmp_path / f"damaged{file.suffix}"
     for damaged in cuts(content, np.random.default_rng(0)):
         path.write_bytes(damaged)
-        refusal(read_up_to_the_damage, path, whole)
+        refusal(partial(read_up_to_the_damage, checksums=False), path, whole)
     for damaged in flips(content, np.random.default_rng(0)):
         path.write_bytes(damaged)
         refusal(read_as_it_is, path)
