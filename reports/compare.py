@@ -83,7 +83,7 @@ def command_of(stage: Stage, name: str) -> str:
     """The command that made a stage, its output called `name`, of absolute paths the last part only."""
     out = stage.option("out")
     names = {} if out is None else {out.rstrip("/"): name}
-    words = [word for word in renamed(stage.command, names) if word != "--force"]
+    words = renamed(stage.command, names)
     return shlex.join(re.sub(r"^(--[\w-]+=)?/.*/(?=[^/])", r"\1", word) for word in words)
 
 

@@ -39,7 +39,6 @@ def recipe(groups: Sequence[Group]) -> list[Step]:
 
 
 def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
-    words = [word for word in renamed(stage.command, names) if word != "--force"]
     inputs = [
         (f"{name}: {path}" if path != name else name, digest)
         for name, entry in stage.manifest.inputs.items()
@@ -47,7 +46,7 @@ def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
     ]
     return Step(
         label,
-        shlex.join(words),
+        shlex.join(renamed(stage.command, names)),
         DASH if stage.seed is None else str(stage.seed),
         stage.outputs.get("config.yaml", ""),
         inputs,
@@ -56,8 +55,8 @@ def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
 
 
 def renamed(command: Sequence[str], names: Mapping[str, str]) -> list[str]:
-    """A command line with the known output folders renamed where a path stands, and nowhere else: a folder
-    may well be called as a verb, a task or a number is."""
+    """A command line without `--force`, the known output folders renamed where a path stands, and nowhere
+    else: a folder may well be called as a verb, a task or a number is."""
     words, before = list(command[:2]), ""
     for word in command[2:]:
         option, equals, value = word.partition("=")
@@ -67,7 +66,7 @@ def renamed(command: Sequence[str], names: Mapping[str, str]) -> list[str]:
             word = rename(word, names)
         words.append(word)
         before = option if option.startswith("-") and not equals else ""
-    return words
+    return [word for word in words if word != "--force"]
 
 
 def rename(word: str, names: Mapping[str, str]) -> str:

@@ -60,7 +60,7 @@ def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[st
         if option in ("--out", "--config", "--set"):
             if not equals:
                 next(following, None)
-        elif word not in ("--force", "--quiet", "--verbose", "-q", "-v"):
+        elif word not in ("--quiet", "--verbose", "-q", "-v"):
             words.append(word)
     return [*words, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
 
