@@ -43,8 +43,7 @@ def draw_map(stage: Stage, group: Group, album: Album) -> None:
     """The map and its errors where truth is known; the map with its path where not."""
     grid, slam = stage.map, stage.trajectory
     record = group.record_of(stage)
-    truth = record.truth if record is not None else None
-    true_map = record.true_map if record is not None else None
+    truth, true_map = (None, None) if record is None else (record.truth, record.true_map)
     if grid is not None and true_map is not None:
         caption = (
             "Every wall cell of the map, coloured by its distance from the nearest true surface (grey). Blue "
@@ -58,17 +57,16 @@ def draw_map(stage: Stage, group: Group, album: Album) -> None:
         album.add("map", "Map", caption, maps.plain_map, grid, {"slam": slam})
     recording = source_recording(stage, record)
     odometry = None if recording is None else recording.path
+    paths = {"truth": truth, "odometry": odometry, "slam": slam}
     if slam is not None and truth is not None:
         caption = (
             "SLAM's path should run along the middle of the wide pale band, which is the truth. "
             "Odometry alone drifts away from it."
         )
-        paths = {"truth": truth, "odometry": odometry, "slam": slam}
         album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
         _add_errors(album, slam, odometry, truth)
     elif slam is not None and grid is not None and odometry is not None:
         caption = "The path by odometry alone and the path by SLAM."
-        paths = {"odometry": odometry, "slam": slam}
         album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
     if stage.has("map.ply"):
         _add_cloud(stage, album)

@@ -184,9 +184,8 @@ class Simulator:
         """Drive for one control period."""
         if self._step < 0:
             raise RuntimeError("reset the simulator before the first step")
-        if self.surroundings.movers:
-            self.surroundings.step(self.truth.T_world_base.xy)
-            self._place_movers()
+        self.surroundings.step(self.truth.T_world_base.xy)
+        self._place_movers()
         wheels = self._board.motors.step(self._faults.command(command))
         wheels = self._faults.grip(self._step + 1, *wheels)
         reach = self.robot.model.circumscribed_radius + CONTACT_REACH_M

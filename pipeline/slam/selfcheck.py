@@ -45,23 +45,11 @@ class SelfCheck(Verdict):
     mean_violation: float
     bad_places: float
     lost_scans: int
-    violations: Array
     position_sigma_m: float
-    certainty: Certainty
+    map_entropy_bits: float
+    wall_share: float
+    violations: Array
     reasons: tuple[str, ...]
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """Of the places seen twice, the scans and the cells."""
-        return {
-            "revisits": self.revisits,
-            "mean_violation": self.mean_violation,
-            "bad_places": self.bad_places,
-            "lost_scans": self.lost_scans,
-            "position_sigma_m": self.position_sigma_m,
-            "map_entropy_bits": self.certainty.entropy_bits,
-            "wall_share": self.certainty.wall_share,
-        }
 
 
 def check_map(
@@ -117,7 +105,8 @@ def check_map(
             f"deviation): the map may be bent there{blind}"
         )
     violations = np.column_stack([pairs, share])
-    return SelfCheck(len(share), mean, bad, len(lost), violations, sigma, certainty, tuple(reasons))
+    decided = certainty.entropy_bits, certainty.wall_share
+    return SelfCheck(len(share), mean, bad, len(lost), sigma, *decided, violations, tuple(reasons))
 
 
 def _revisits(T_map_keys: SE2) -> NDArray[np.int64]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import Any, Literal
 
 
-class Verdict(ABC):
-    """Base of the self-checks; metrics.json shows the verdict before `numbers`."""
+class Verdict:
+    """Base of the self-checks, whose numbers are in metrics.json by their names."""
 
     reasons: tuple[str, ...]
 
@@ -16,11 +15,7 @@ class Verdict(ABC):
         """Good without a reason for doubt."""
         return "doubtful" if self.reasons else "good"
 
-    @property
-    @abstractmethod
-    def numbers(self) -> dict[str, float]:
-        """The measurements, by their names in metrics.json."""
-
     def as_metrics(self) -> dict[str, Any]:
         """The self-check's entry in metrics.json."""
-        return {"verdict": self.verdict, "reasons": list(self.reasons), **self.numbers}
+        numbers = {name: value for name, value in vars(self).items() if isinstance(value, int | float)}
+        return {"verdict": self.verdict, "reasons": list(self.reasons), **numbers}

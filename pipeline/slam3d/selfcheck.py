@@ -34,11 +34,6 @@ class SelfCheck3d(Verdict):
     empty_scans: int
     reasons: tuple[str, ...]
 
-    @property
-    def numbers(self) -> dict[str, float]:
-        """All of it but the reasons."""
-        return {name: value for name, value in vars(self).items() if name != "reasons"}
-
 
 def check_map(
     stamps_ns: NDArray[np.int64],

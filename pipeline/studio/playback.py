@@ -124,11 +124,10 @@ class Playback(BaseSession):
         self._journal.tick(self.stamp_ns, None)
         self._step += 1
         self._play(self._head.forward(self._head.position_ns + self.period_ns))
+        if self.idle or self._step % DRAWN_EVERY == 0:
+            self._draw()
         if self.idle:
-            self._draw()
             self._events.add(self._told_ns, "the bag is at its end")
-        elif self._step % DRAWN_EVERY == 0:
-            self._draw()
 
     def interrupt(self) -> None:
         """Break off the mapping of the whole bag that may be under way; called from another thread."""

@@ -13,6 +13,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.navigation.explore import ExploreDriver
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.slam.factors import Constraint
@@ -264,10 +265,8 @@ class Visuals:
 
     def _obstacle_layer(self) -> ObstacleLayer | None:
         driver = None if self._pilot.task is None else self._pilot.task.driver
-        if isinstance(driver, NavigationDriver):
+        if isinstance(driver, NavigationDriver | ExploreDriver):
             return driver.tools.obstacles
-        if self._pilot.task is not None and self._pilot.task.explorer is not None:
-            return self._pilot.task.explorer.tools.obstacles
         return None if self._pilot.navigation is None else self._pilot.navigation.tools.obstacles
 
 
