@@ -76,11 +76,8 @@ class Escape:
         """The twist of this tick; None when it is over."""
         twist = self._move.command(now_ns, T_odom_base)
         if twist is None and self._move.twist.v:
-            turn, amount = (
-                Twist(0.0, math.copysign(TURN_W, self._angle)),
-                min(abs(self._angle), math.pi - 0.2),
-            )
-            self._move = Move(T_odom_base, turn, amount, self._until_ns, "turn away")
+            turn = Twist(0.0, math.copysign(TURN_W, self._angle))
+            self._move = Move(T_odom_base, turn, abs(self._angle), self._until_ns, "turn away")
             twist = self._move.command(now_ns, T_odom_base)
         return twist
 

@@ -83,13 +83,17 @@ class Move:
     amount: float
     until_ns: int
     name: str
+    turned: float = 0.0
+    """Since the start [rad], beyond a half turn, too."""
+
+    def __post_init__(self) -> None:
+        self._yaw = self.start.yaw
 
     def command(self, now_ns: int, pose: SE2) -> Twist | None:
         """The constant twist until the amount is done."""
-        if self.twist.v != 0.0:
-            done = float(np.linalg.norm(pose.xy - self.start.xy))
-        else:
-            done = abs(float(wrap(pose.yaw - self.start.yaw)))
+        self.turned, self._yaw = self.turned + float(wrap(pose.yaw - self._yaw)), pose.yaw
+        driven = float(np.linalg.norm(pose.xy - self.start.xy))
+        done = driven if self.twist.v != 0.0 else abs(self.turned)
         return self.twist if done < self.amount and now_ns < self.until_ns else None
 
 
@@ -137,7 +141,7 @@ class Ladder:
             speed, amount = self.config.back_up_v, rung.amount
             ways = {"recover_back_up": Twist(-speed, 0.0), "recover_go_on": Twist(speed, 0.0)}
         else:
-            speed, amount = ROTATE_W, min(rung.amount, math.pi - 0.1)
+            speed, amount = ROTATE_W, rung.amount
             first = speed if self.used % 2 else -speed
             ways = {"recover_rotate": Twist(0.0, first), "recover_rotate_back": Twist(0.0, -first)}
         limit = now_ns + nanoseconds(amount / speed + 1.0)

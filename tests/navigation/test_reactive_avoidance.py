@@ -138,8 +138,8 @@ def test_an_escape_is_bounded_in_time_and_in_the_turn():
     assert escape.command(11 * S, HERE) is None
     whole = Escape(0, SE2.from_xyt(0.0, 0.0, 3.0), 0.0, 3.1)
     assert whole.command(0, SE2.from_xyt(0.0, 0.0, 3.0)) == Twist(0.0, 0.5)
-    assert whole.command(0, SE2.from_xyt(0.0, 0.0, 3.0 + math.pi - 0.21)) is not None
-    assert whole.command(0, SE2.from_xyt(0.0, 0.0, 3.0 + math.pi - 0.19)) is None
+    assert whole.command(0, SE2.from_xyt(0.0, 0.0, 3.0 + 3.05)) is not None
+    assert whole.command(0, SE2.from_xyt(0.0, 0.0, 3.0 + 3.15)) is None
 
 
 def test_what_touches_is_replaced_by_the_first_motion_that_does_not():
