@@ -25,24 +25,25 @@ PITCH_M = 0.03
 
 
 class FootprintSamples(NamedTuple):
-    """Points of the footprint's outline (n, 2) in the base frame [m], and its two radii [m]."""
+    """Points of the footprint (n, 2) in the base frame [m], its two radii [m], and how many of them, the
+    first ones, are on its outline."""
 
     points: Array
     inscribed: float
     circumscribed: float
+    outline: int
 
 
 def sample_footprint(model: RobotModel, pitch: float = PITCH_M) -> FootprintSamples:
     """Outline points no further apart than `pitch`; the inner disc is checked by its centre."""
     corners = model.footprint
-    points = []
+    sides = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         count = max(1, math.ceil(float(np.linalg.norm(b - a)) / pitch))
-        points.append(a + (b - a) * (np.arange(count) / count)[:, None])
-    rear = _inner_points(corners, pitch)
-    return FootprintSamples(
-        np.concatenate([*points, rear]), model.inscribed_radius, model.circumscribed_radius
-    )
+        sides.append(a + (b - a) * (np.arange(count) / count)[:, None])
+    outline = np.concatenate(sides)
+    points = np.concatenate([outline, _inner_points(corners, pitch)])
+    return FootprintSamples(points, model.inscribed_radius, model.circumscribed_radius, len(outline))
 
 
 def _inner_points(corners: Array, pitch: float) -> Array:

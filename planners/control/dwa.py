@@ -16,7 +16,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
-from turtlebag.planners.control.monitor import depth_inside, moved
+from turtlebag.planners.control.monitor import moved
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import COST_SCALING, Costmap, inflated_cost_at
 from turtlebag.planners.distance_transform import distance_field
@@ -101,22 +101,29 @@ inscribed circle and the other they are not counted on. With 0.04 for both the j
 something (BARN 250: 0.0 m for 0.036), with 0.08 for both it loses its way in one of 13 worlds."""
 
 
+TUTORIAL_WINDOW = Window(
+    max_v=0.26, min_v=-0.26, max_w=2.75, vx_samples=20, vth_samples=40, settle_distance=0.2
+)
+"""turtlebot3_navigation's. From the settling distance on, every arc of the least speed, half of the highest,
+over the time looked ahead would end beyond the goal."""
+TUTORIAL_BURGER = ArcWeights(
+    time=1.5, goal=20.0, path=32.0, nose=32.0, room=0.0, least=0.0, back=0.0, occupied=0.02, least_w=1.37
+)
+"""turtlebot3_navigation's dwa_local_planner_params_burger.yaml."""
+TUTORIAL_WAFFLE = TUTORIAL_BURGER._replace(time=2.0, least_w=0.9)
+"""dwa_local_planner_params_waffle.yaml: looked ahead for longer, turned more slowly."""
+OPENED_V = 0.25
+"""The tutorial's acc_lim_x of 2.5 m/s^2 is not taken, a burger tips above 1.3; but the speeds it opens in
+0.1 s are: else the least speed is out of reach from a standstill."""
+
+
 def numbers(config: DwaConfig, model: RobotModel) -> tuple[Window, ArcWeights]:
     """Which arcs are tried, and what they cost."""
     if config.preset == "own":
         return Window(), ArcWeights()
-    slow = model.max_v > 0.24  # waffle and waffle_pi: looked ahead for longer, turned more slowly
-    # The tutorial's acc_lim_x of 2.5 m/s^2 is not taken, a burger tips above 1.3; but the speeds it opens in
-    # 0.1 s are: else the least speed is out of reach from a standstill. From the settling distance on, every
-    # arc of the least speed over the time looked ahead would end beyond the goal.
-    window = Window(
-        max_v=0.26, min_v=-0.26, max_w=2.75, time=0.1 * 2.5 / (ACCELERATION_SHARE * model.max_dv),
-        vx_samples=20, vth_samples=40, settle_distance=0.2,
-    )  # fmt: skip
-    return window, ArcWeights(
-        time=2.0 if slow else 1.5, goal=20.0, path=32.0, nose=32.0, room=0.0, least=0.0, back=0.0,
-        occupied=0.02, least_v=0.5 * min(model.max_v, 0.26), least_w=0.9 if slow else 1.37,
-    )  # fmt: skip
+    window = TUTORIAL_WINDOW._replace(time=OPENED_V / (ACCELERATION_SHARE * model.max_dv))
+    costs = TUTORIAL_BURGER if model.max_v < window.max_v else TUTORIAL_WAFFLE
+    return window, costs._replace(least_v=0.5 * min(model.max_v, window.max_v))
 
 
 class Dwa(Ramped):
@@ -126,8 +133,6 @@ class Dwa(Ramped):
         self._window, self._weights = numbers(config, model)
         super().__init__(model, period, max_v=self._window.max_v, max_w=self._window.max_w)
         self.samples = sample_footprint(model, 0.05)
-        depths = [depth_inside(model.footprint, x, y) for x, y in self.samples.points]
-        self._outline = int(np.sum(np.array(depths) < 1e-9))
         self.state = "idle"
         self._settler = Pursuit(model, period)
         self._path = SE2.identity(0)
@@ -196,7 +201,7 @@ class Dwa(Ramped):
         weights = self._weights._replace(braking=ACCELERATION_SHARE * limits.max_dv, ahead=ahead)
         floor = ArcFloor(costmap.clearance, self._to_goal, self._to_path, costmap.resolution)
         at = tuple((costmap.T_grid_map @ pose).xyt.tolist())
-        return Twist(*best_arc(floor, self.samples, self._outline, at, vs, ws, weights))
+        return Twist(*best_arc(floor, self.samples, at, vs, ws, weights))
 
 
 @njit(cache=True)
@@ -212,7 +217,6 @@ def _value(field: Field32, resolution: float, x: float, y: float, otherwise: flo
 def best_arc(
     floor: ArcFloor,
     footprint: FootprintSamples,
-    outline: int,
     pose: tuple[float, float, float],
     vs: Array,
     ws: Array,
@@ -220,18 +224,19 @@ def best_arc(
 ) -> tuple[float, float]:
     """The (v, w) of least cost among vs x ws from a pose in the grid frame; (0, 0): none is admissible.
 
-    The first `outline` of the footprint's points are those on its outline. An arc is admissible when the
-    robot can stop before the place where it would come nearer than the least room; one that starts too near
-    may only get freer.
+    An arc is admissible when the robot can stop before the place where it would come nearer than the least
+    room; one that starts too near may only get freer.
     """
     clearance, resolution = floor.clearance, floor.resolution
     x, y, yaw = pose
-    inscribed, circumscribed = footprint.inscribed, footprint.circumscribed
-    edge = FootprintSamples(footprint.points[:outline], inscribed, circumscribed)
+    inscribed, circumscribed, outline = footprint.inscribed, footprint.circumscribed, footprint.outline
+    edge = FootprintSamples(footprint.points[:outline], inscribed, circumscribed, outline)
     # More room than this makes no difference.
     enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
     here = footprint_clearance(clearance, resolution, footprint, x, y, yaw)
-    base = _value(floor.to_goal, resolution, x, y, 1.0e3)
+    # Where no way leads to the goal: longer than any way over the cells.
+    base = _value(floor.to_goal, resolution, x, y, clearance.size * resolution)
+    judged = round(c.time / STEP_S)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
     for v in vs:
         for w in ws:
@@ -258,7 +263,7 @@ def best_arc(
                         admissible = False
                     break
                 room = min(room, d)
-                if i * STEP_S <= c.time + 1e-9:
+                if i <= judged:
                     ex, ey, eyaw = px, py, pyaw
             if not admissible:
                 continue

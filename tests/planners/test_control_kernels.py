@@ -234,9 +234,8 @@ def test_the_best_arc_is_the_cheapest_of_all_that_can_be_stopped_in_time(changed
     rng = np.random.default_rng(len(str(changed)))
     setting = np.array([changed.get(name, value) for name, value in zip(NAMES, USUAL, strict=True)])
     samples = sample_footprint(BURGER, 0.05)
-    outline = len(samples.points) - int(
-        np.sum([depth_inside(BURGER.footprint, *p) > 1e-9 for p in samples.points])
-    )
+    inside = [depth_inside(BURGER.footprint, *p) > 1e-9 for p in samples.points]
+    assert inside == [k >= samples.outline for k in range(len(samples.points))]
     chosen = set()
     for _ in range(10):
         lethal = rng.random((50, 50)) < 0.008
@@ -249,7 +248,7 @@ def test_the_best_arc_is_the_cheapest_of_all_that_can_be_stopped_in_time(changed
         pose = (*rng.uniform(1.05, 1.45, 2), rng.uniform(-3.0, 3.0))
         vs, ws = np.linspace(-0.3, 0.6, 7), np.linspace(-1.5, 1.5, 7)
         found = best_arc(
-            ArcFloor(clearance, to_goal, to_path, RES), samples, outline, pose, vs, ws, ArcWeights(*setting)
+            ArcFloor(clearance, to_goal, to_path, RES), samples, pose, vs, ws, ArcWeights(*setting)
         )  # fmt: skip
         assert found == plain_arc(clearance, to_goal, to_path, samples, pose, vs, ws, setting)
         chosen.add(found)
@@ -263,7 +262,7 @@ def test_where_nothing_can_be_driven_the_robot_stands():
     flat = np.ones((50, 50), dtype=np.float32)
     assert field_at(clearance, RES, 1.275, 1.275) == pytest.approx(0.1)
     found = best_arc(
-        ArcFloor(clearance, flat, flat, RES), samples, len(samples.points), (1.275, 1.275, 0.0),
+        ArcFloor(clearance, flat, flat, RES), samples, (1.275, 1.275, 0.0),
         np.array([0.3]), np.array([0.5]), ArcWeights(*USUAL),
     )  # fmt: skip
     assert found == (0.0, 0.0)

@@ -70,7 +70,7 @@ def test_the_footprints_clearance_is_the_least_over_its_points_and_its_inner_dis
     touching = 0
     for pose in poses:
         expected = plain_clearance(field, KITE, 0.09, 0.22, pose)
-        found = footprint_clearance(field, RES, FootprintSamples(KITE, 0.09, 0.22), *pose)
+        found = footprint_clearance(field, RES, FootprintSamples(KITE, 0.09, 0.22, len(KITE)), *pose)
         if expected <= 0.0:
             touching += 1
             assert found <= 0.0
@@ -82,11 +82,13 @@ def test_the_footprints_clearance_is_the_least_over_its_points_and_its_inner_dis
 def test_far_from_everything_the_clearance_is_that_of_the_circle_round_the_footprint():
     field = np.full((40, 40), 0.8, dtype=np.float32)
     for circumscribed, expected in ((0.2, 0.6), (0.29, 0.51), (0.31, 0.7)):
-        found = footprint_clearance(field, RES, FootprintSamples(KITE, 0.1, circumscribed), 1.0, 1.0, 0.3)
+        found = footprint_clearance(
+            field, RES, FootprintSamples(KITE, 0.1, circumscribed, len(KITE)), 1.0, 1.0, 0.3
+        )
         assert found == pytest.approx(expected, abs=1e-6)
     # the inner disc reaches further than any point here
     assert footprint_clearance(
-        field, RES, FootprintSamples(KITE[:0], 0.35, 0.4), 1.0, 1.0, 0.0
+        field, RES, FootprintSamples(KITE[:0], 0.35, 0.4, 0), 1.0, 1.0, 0.0
     ) == pytest.approx(0.45)
 
 
@@ -220,7 +222,7 @@ def test_a_paths_clearance_is_the_least_over_its_poses_from_the_nearest_one_on()
         driven = np.concatenate([[0.0], np.linalg.norm(np.diff(steps[first:], axis=0), axis=1).cumsum()])
         seen = [plain_clearance(field, KITE, 0.09, 0.22, pose) for pose in poses[first:][driven <= ahead][1:]]
         expected = min(seen, default=np.inf)
-        found = path_clearance(field, RES, FootprintSamples(KITE, 0.09, 0.22), poses, x, y, ahead)
+        found = path_clearance(field, RES, FootprintSamples(KITE, 0.09, 0.22, len(KITE)), poses, x, y, ahead)
         if expected > 0.0:
             assert found == pytest.approx(expected, abs=1e-6)
         else:
@@ -232,6 +234,8 @@ def test_of_two_poses_as_near_the_clearance_counts_from_the_first():
     field[:, 20:] = 0.3
     poses = np.array([[0.5, 0.5, 0.0], [1.5, 0.5, 0.0], [0.5, 0.5, 0.0]])
     assert path_clearance(
-        field, RES, FootprintSamples(KITE, 0.1, 0.2), poses, 0.5, 0.5, 9.0
+        field, RES, FootprintSamples(KITE, 0.1, 0.2, len(KITE)), poses, 0.5, 0.5, 9.0
     ) == pytest.approx(0.2)
-    assert math.isinf(path_clearance(field, RES, FootprintSamples(KITE, 0.1, 0.2), poses, 0.5, 0.5, 0.9))
+    assert math.isinf(
+        path_clearance(field, RES, FootprintSamples(KITE, 0.1, 0.2, len(KITE)), poses, 0.5, 0.5, 0.9)
+    )

@@ -138,19 +138,19 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
         assert found == ramped(Twist(0.1, 0.2), last, limits)
         args = asked[-1]
         at = costmap.T_grid_map @ pose
-        assert args[3] == pytest.approx(tuple(at.xyt))
+        assert args[2] == pytest.approx(tuple(at.xyt))
         vs = np.linspace(
             max(last.v - 0.5 * limits.max_dv, lowest), min(last.v + 0.5 * limits.max_dv, 0.22), 5
         )
         ws = np.linspace(max(last.w - 0.5 * limits.max_dw, -2.0), min(last.w + 0.5 * limits.max_dw, 2.0), 4)
-        np.testing.assert_allclose(args[4], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
-        np.testing.assert_allclose(args[5], np.union1d(ws, [0.0]))
+        np.testing.assert_allclose(args[3], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
+        np.testing.assert_allclose(args[4], np.union1d(ws, [0.0]))
         expected = numbers(DwaConfig(), BURGER)[1]
-        assert args[6] == expected._replace(braking=0.8 * limits.max_dv, ahead=ahead)
+        assert args[5] == expected._replace(braking=0.8 * limits.max_dv, ahead=ahead)
     near = dwa(settle_distance=0.1)
     near.set_path(SE2.from_xyt(np.array([1.0, 1.7]), np.array([1.2, 1.2]), np.zeros(2)))
     near.command(SE2.from_xyt(1.5, 1.2, 0.3), Twist(), costmap)
-    assert asked[-1][6].ahead == 0.0
+    assert asked[-1][5].ahead == 0.0
     assert near.state == "follow"
     near.command(SE2.from_xyt(1.65, 1.2, 0.0), Twist(), costmap)
     assert near.state == "settle"
