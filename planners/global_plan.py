@@ -108,7 +108,7 @@ def _plan_disc(
     if way is not None:
         poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
         plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner)
-        if _blocked_until(costmap, model.footprint, poses) == 0.0:
+        if _blocked_until(costmap, model.footprint, poses) is None:
             return plan
     oriented = _oriented_plan(costmap, model, start, goal, config)
     if oriented is not None:
@@ -116,7 +116,8 @@ def _plan_disc(
     if way is None:
         raise NoPath(reason)
     # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
-    if _blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses) > 2.0 * SNAP_M:
+    stuck = _blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses)
+    if stuck is not None and stuck > 2.0 * SNAP_M:
         raise NoPath("no path to the goal")
     return plan
 
@@ -167,11 +168,11 @@ def _oriented_plan(
     return None if way is None else Plan(costmap.T_map_grid @ way, path_length(way.xy), 0.0, ORIENTED)
 
 
-def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float:
-    """Length of the path up to the last place where the footprint touches something [m]."""
+def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float | None:
+    """Length of the path up to the last place where the footprint touches something [m]; None: nowhere."""
     xyt = np.ascontiguousarray(poses.xyt)
     first = int(free_from(Ground(costmap.clearance, costmap.resolution, footprint), xyt))
-    return 0.0 if first == 0 else max(path_length(poses.xy[: first + 1]), 1e-9)
+    return None if first == 0 else path_length(poses.xy[: first + 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +204,7 @@ def _plan_poses(
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
         raise NoPath("no path to the goal in any heading")
     name = f"{config.ompl.name} in {config.ompl.space}"
-    if np.allclose((start.inverse() @ goal).xyt, 0.0, atol=1e-6):
+    if np.allclose((start.inverse() @ goal).xyt, 0.0):
         there = SE2(np.stack([start.xyt, goal.xyt]))
         return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name)
     for run in range(POSE_RUNS):

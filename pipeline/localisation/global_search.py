@@ -11,8 +11,6 @@ a wall, is evidence against a pose, which the likelihood field alone does not ha
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from turtlebag.datasets.grid import FREE, OccupancyGrid
@@ -30,7 +28,8 @@ CANDIDATES = 20000
 SHAKES = (0.10, 0.05, 0.03)
 STAGE_PARTICLES = 3000
 # Standard deviations of a search about a pose [m, m, rad]: those of an initial pose by default.
-AROUND = (0.5, 0.5, math.pi / 12.0)
+USUAL = AmclConfig()
+AROUND = np.sqrt([USUAL.initial_cov_xx, USUAL.initial_cov_yy, USUAL.initial_cov_aa])
 # Each weighing is flattened until this share of the candidates still counts; fewer together are no place.
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.

@@ -24,8 +24,9 @@ def measured(
     goals = [goal_of(outcome) for outcome in sequence.outcomes] if sequence is not None else []
     floor, robot = None, simulator.robot
     if task in ("avoid", "explore"):
-        resolution = 0.05 if grid is None else grid.resolution
-        floor = floor_of(robot, simulator.world.rasterize(robot.lidar_height, resolution), grid)
+        world, height = simulator.world, robot.lidar_height
+        true_grid = world.rasterize(height) if grid is None else world.rasterize(height, grid.resolution)
+        floor = floor_of(robot, true_grid, grid)
     return run_metrics(task, log, goals, truth, estimate or None, floor)
 
 

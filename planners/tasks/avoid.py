@@ -9,14 +9,15 @@ from typing import Literal
 
 import numpy as np
 
+from turtlebag.datasets.se2 import wrap
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Scan, Twist
 
 # The tutorial's numbers: something nearer ahead stops or slows the robot; speeds [m/s, rad/s].
 STOP_M, SLOW_M = 0.5, 1.0
 CRUISE_V, SLOW_V, SLOW_W, TURN_W = 0.2, 0.1, 0.3, 0.5
-# Sectors reach so far to both sides of left, front and right.
-SECTOR_DEG = 30.0
+# Sectors reach so far to both sides of left, front and right; nearer returns are none.
+SECTOR_DEG, LEAST_RANGE_M = 30.0, 0.01
 
 
 class AvoidConfig(Settings):
@@ -48,15 +49,14 @@ def read_sectors(scan: Scan) -> Sectors:
 
     NaN, +inf and anything under 0.01 m (so -inf too) are ignored.
     """
-    degrees = np.round(np.degrees(scan.lidar.angles), 3) % 360.0
     ranges = scan.ranges.astype(np.float64)
-    ranges = np.where(np.isfinite(ranges) & (ranges >= 0.01), ranges, np.inf)
+    ranges = np.where(np.isfinite(ranges) & (ranges >= LEAST_RANGE_M), ranges, np.inf)
 
     def least(centre: float) -> float:
-        off = np.abs((degrees - centre + 180.0) % 360.0 - 180.0)
-        return float(ranges.min(where=off <= SECTOR_DEG, initial=math.inf))
+        off_deg = np.round(np.degrees(np.abs(wrap(scan.lidar.angles - centre))), 3)
+        return float(ranges.min(where=off_deg <= SECTOR_DEG, initial=math.inf))
 
-    return Sectors(least(90.0), least(0.0), least(270.0))
+    return Sectors(least(math.pi / 2.0), least(0.0), least(-math.pi / 2.0))
 
 
 def tutorial_rule(sectors: Sectors) -> Decision:

@@ -133,7 +133,7 @@ def test_a_path_is_blocked_until_its_last_touch():
     length = _blocked_until(costmap, BURGER.footprint, line)
     # the tail passes the post's centre at x = 1.525 when the robot is at 1.63
     assert length == pytest.approx(1.65 - 0.5, abs=0.051)
-    assert _blocked_until(costmap, BURGER.footprint, line[:10]) == 0.0
+    assert _blocked_until(costmap, BURGER.footprint, line[:10]) is None
     first = free_from(Ground(costmap.clearance, RES, BURGER.footprint), line.xyt)
     assert length == pytest.approx(path_length(line.xy[: first + 1]))
     beside = SE2.from_xyt(1.025, 1.0, 0.0)
