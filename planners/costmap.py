@@ -21,9 +21,11 @@ from turtlebag.planners.grid_distance import GridDistance, grid_distance
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 SPECK_M2 = 0.06
-"""Unknown patches smaller than this inside seen floor count as free: gaps between beams."""
+"""Unknown patches smaller than this inside seen floor count as free: gaps between beams (not measured)."""
 SNAP_M = 0.35
-"""How far from a robot, or a goal, that is too close to an obstacle its way may begin, or end."""
+"""How far from a robot, or a goal, that is too close to an obstacle its way may begin, or end.
+
+Not measured."""
 COST_SCALING = 3.0
 """How fast inflated costs fade [1/m]: turtlebot3's for costmap_2d."""
 INSCRIBED_COST = 253

@@ -31,13 +31,17 @@ from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 
 BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
-"""Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls."""
+"""Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls.
+
+Not measured."""
 TIGHT_PULL, TIGHT_SWEEPS = 0.9, 300
 """The same for pulling a path tight: with those of the band RRTConnect's are 0.5 % longer."""
 INFORMED = 1.1
-"""OMPL searches only floor on some way at most this much longer than the shortest over the cells."""
+"""OMPL searches only floor on some way at most this much longer than the shortest over the cells.
+
+Not measured."""
 POSE_RUNS = 12
-"""New seeds for a path of poses that is not found."""
+"""New seeds for a path of poses that is not found (not measured)."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"

@@ -18,7 +18,7 @@ from turtlebag.planners.obstacle_layer import NEVER, Marking, ObstacleLayer
 from turtlebag.planners.planner import NoPath
 
 RIM_M = 0.8
-"""Places to make for lie this far inside the window: its edge counts as an obstacle."""
+"""Places to make for lie this far inside the window: its edge counts as an obstacle (not measured)."""
 
 
 IN_WINDOW = Marking(known=0.0, decay=60.0, obstacle_range=6.0, replan_s=0.3)

@@ -10,7 +10,8 @@ from __future__ import annotations
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 # Two places whose agreement, a share of the beams, differs by less than the one look alike, by more than the
-# other clearly different: a scan of a place agrees with its map to within some hundredths.
+# other clearly different: a scan of a place agrees with its map to within some hundredths. How many exactly
+# is not measured.
 ALIKE, DIFFERENT = 0.05, 0.1
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 # From 1 on, a robot carried off in the house is found after 3, 1, 6 and 1 s in place of 1, 1, 0 and 1.
@@ -18,9 +19,10 @@ NOMINAL_AGREEMENT = 0.8
 # So large a share of the beams that fits no more is a doubt; less is people and boxes in view. Random
 # particles are mixed in from this share on; a single scan so far below the usual speaks against the estimate.
 DOUBTFUL = 0.25
-# One scan may be noise: so many in a row are none, and so many settle a thing.
+# One scan may be noise: so many in a row are none, and so many settle a thing (not measured).
 DOUBTS, SETTLING = 2, 6
-# Filter updates, or scans, from one search in vain to the next at most.
+# Filter updates, or scans, from one search in vain to the next at most; with 64, or 24 where the agreement
+# has faded, 13 episodes of lost robots are found in the same times.
 LONGEST_PAUSE = 32
 # Agreement below this part of the best so far is worth a second look: without it, a robot that was carried
 # off in the house noticed later and was at its goal after 94 s in place of 71 s.

@@ -22,6 +22,8 @@ from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, dist
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
+# With these numbers 100 of 100 robots were found in the house, and 40 of 40 in buildings never used before
+# (docs/results_localisation.md); what each of them is worth is not measured.
 # Poses drawn over the free space; the best are kept.
 CANDIDATES = 20000
 # Shaking after each stage: standard deviations [m and rad], and the particles left for the next.

@@ -9,7 +9,7 @@ import numpy as np
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
 
-# Below this step the direction of travel is noise and the motion counts as a turn on the spot.
+# Below this step the direction of travel is noise and the motion counts as a turn on the spot; ROS amcl's.
 MIN_STEP_M = 0.01
 
 

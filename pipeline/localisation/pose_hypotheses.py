@@ -31,10 +31,11 @@ from turtlebag.pipeline.localisation.global_search import (
 from turtlebag.pipeline.localisation.local_search import climb
 
 # Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. With
-# people all round, so that less than this is explained, nothing can be said.
+# people all round, so that less than this is explained, nothing can be said: a robot pushed about by a walker
+# took its own place, turned by 40 degrees, for another.
 APART, LEAST_FIT = 1.0, 0.7
 # Beams all round; so many neighbours to each side may stand in for one (edges of things, small errors of
-# heading).
+# heading). Not measured.
 BEAMS, NEIGHBOURS = 180, 2
 
 

@@ -18,6 +18,7 @@ from turtlebag.pipeline.localisation.agreement import ALIKE, DOUBTFUL, DOUBTS, L
 from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.motion import MIN_STEP_M
 
+# Fixed with walkers who push a standing robot (docs/results_navigation.md); singly not measured.
 # A beam has changed beyond the noise of a lidar; a view has when DOUBTFUL of its beams have, in DOUBTS scans.
 CHANGED_M = 0.04
 # The place found must be so far off [m, rad], and explain the scan clearly better (not ALIKE).

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 
-# Bins of the histogram by which KLD-sampling counts particles.
+# Bins of the histogram by which KLD-sampling counts particles: ROS amcl's heading, half its width [m].
 BIN_M, BIN_RAD = 0.25, math.radians(10.0)
 
 

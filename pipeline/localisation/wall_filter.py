@@ -24,9 +24,9 @@ from turtlebag.pipeline.localisation.surfaces import Indices, Surfaces
 
 # Residual at which a beam counts a quarter, standard deviation of a beam, how many beams' worth one wall may
 # say in a scan (any number: the house 1.13 cm off for 0.92), and how far from where its cells are a wall may
-# stand (standard deviation).
+# stand (standard deviation: that of anywhere within half a cell).
 MATCH_SCALE_M, BEAM_STD_M, PATCH_BEAMS, OFFSET_CELLS = 0.03, 0.012, 4.0, 0.14
-# Walls kept in the state; beyond, the one longest out of sight is forgotten.
+# Walls kept in the state, for the sake of time; beyond, the one longest out of sight is forgotten.
 MAX_WALLS = 150
 # States before the walls': the pose (x, y, yaw), then odometry's errors: share of distance, share of turn,
 # and turn by distance [rad/m]; their standard deviations beforehand, and what they gain in a metre.

@@ -18,8 +18,9 @@ from turtlebag.planners.tasks.recovery import Move
 # that, one of three drives with bumps sees half the floor). Fewer points say nothing.
 TRAVEL_M, TURN_RAD, LEAST_POINTS = 0.1, 0.6, 30
 # Standing still must explain the sweep by this factor better than odometry does; distances beyond are cut.
+# Not measured.
 STILL_RATIO, FAR_M = 0.5, 0.2
-# So far beyond the leading edge the thing is taken to stand; points along it are so far apart.
+# So far beyond the leading edge the thing is taken to stand; points along it are so far apart (not measured).
 BEYOND_M, SPACING_M = 0.05, 0.02
 # It is kept out of for so long: then odometry has drifted, and the thing may have been moved.
 MEMORY_NS = 600 * 10**9

@@ -39,7 +39,8 @@ from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
-# Without a map: cells of the window, how far off its centre the robot may be; plans keep farther off.
+# Without a map: cells of the window, how far off its centre the robot may be (not measured); plans keep
+# farther off: with the distance of plans on a map BARN 1011 ran into a wall.
 WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_INFLATION_M = 0.05, 1.0, 0.6
 
 

@@ -16,9 +16,9 @@ from turtlebag.planners.control.monitor import depth_inside, padded
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
 BINS, NEIGHBOURS = 360, 2
-"""Bearings of a profile; a beam stands for so many to both sides, too."""
+"""Bearings of a profile, one for each beam of an LDS-01; a beam stands for so many to both sides, too."""
 SHIFT_M = 0.06
-"""A sweep that saw so much farther saw through the place."""
+"""A sweep that saw so much farther saw through the place: six standard deviations of a noise of 1 cm."""
 COMPANY, COMPANY_M = 3, 0.2
 """A moving point needs this many others nearby: a single one is noise."""
 STOP_M = 0.35

@@ -21,7 +21,7 @@ from turtlebag.planners.global_plan import fits
 from turtlebag.planners.tasks.patrol import GoalSequence
 
 PATIENCE_S = 30.0
-"""Time without a scan after which the goals are given up."""
+"""Time without a scan after which the goals are given up (not measured)."""
 LOST = "the robot no longer knows where it is"
 ALIKE = "two places on the map look alike, and no reachable view distinguishes them"
 

@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
 
 HERE_M = 0.15
-"""Scans taken so near to where the robot pushes against something are not drawn."""
+"""Scans taken so near to where the robot pushes against something are not drawn (not measured)."""
 
 
 class OnlineMap:

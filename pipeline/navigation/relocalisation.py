@@ -17,9 +17,9 @@ from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.tasks.wiggle import Wiggle
 
 JUMP = 0.25
-"""An estimate that moves more than this [m or rad] with one scan was wrong before."""
+"""An estimate that moves more than this [m or rad] with one scan was wrong before (not measured)."""
 MOVED_STD = 0.05
-"""Standard deviation [m and rad] of an estimate that was moved to the right hypothesis."""
+"""Standard deviation [m and rad] of an estimate that was moved to the right hypothesis (not measured)."""
 
 
 class Relocaliser:

@@ -70,9 +70,9 @@ TRANSITIONS = {
 
 
 SETTLED_S = 1.0
-"""How long the cloud must be narrow and the scans agree before it drives on."""
+"""How long the cloud must be narrow and the scans agree before it drives on: five scans (not measured)."""
 TRUST_S = 15.0
-"""How long scan agreement is then not checked again: people and boxes are not on the map."""
+"""How long scan agreement is then not checked again: people and boxes are not on the map (not measured)."""
 PUSHED_S = 2.0
 """How long the robot stands still after a push: another may follow."""
 

@@ -18,7 +18,7 @@ TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial
 
 
 HYSTERESIS = 1.2
-"""Once inside, the tolerances are this much wider until the goal counts as reached."""
+"""Once inside, the tolerances are this much wider until the goal counts as reached (not measured)."""
 STOPPED_V, STOPPED_W = 0.01, 0.06
 """Slower than this the robot stands still [m/s, rad/s]."""
 

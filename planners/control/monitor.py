@@ -17,7 +17,7 @@ STEP_M = 0.01
 PADDING_M = 0.02
 """The footprint is checked this much larger."""
 REACTION_S = 0.1
-"""Time at the commanded speed before braking is felt."""
+"""Time at the commanded speed before braking is felt: three control periods."""
 
 
 class CollisionMonitor:

@@ -18,9 +18,9 @@ LEAST_M = 0.4
 
 As short as a burger is wide, it explores the house in 546 s for 427, and touches tables 4 times for none."""
 VIEW_M = 0.8
-"""From how near a frontier is looked at."""
+"""From how near a frontier is looked at (not measured)."""
 SPENT_M = 0.5
-"""No second look from this near a place where one did not help."""
+"""No second look from this near a place where one did not help (not measured)."""
 
 
 def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:

@@ -11,7 +11,7 @@ from turtlebag.planners.tasks.recovery import ROTATE_W
 ANGLE = 1.2
 """It turns this far [rad] to the left, twice as far to the right, and so on."""
 LEAST_S, MOST_S = 3.0, 25.0
-"""Minimum and maximum duration, whatever the cloud does."""
+"""Minimum and maximum duration, whatever the cloud does (not measured)."""
 
 
 class Wiggle:
