@@ -20,13 +20,13 @@ from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypoth
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.planners.control.goal_checker import PASSING
+from turtlebag.planners.control.monitor import PADDING_M
 from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
 
-# Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
-# beside a thing a view changes with every centimetre.
-SPACING_M, ROOMS_M = 0.15, (0.15, 0.05)
+# Places looked at are so far apart.
+SPACING_M = 0.15
 
 
 class Disambiguation:
@@ -76,15 +76,14 @@ class Disambiguation:
 
     def _set_out(self, pose: SE2) -> GoalRunner | None:
         """To the nearest place where two of the hypotheses differ clearly; None when there is none."""
-        costmap, radius = self.tools.obstacles.static, self.tools.model.circumscribed_radius
-        for room in ROOMS_M:
-            place = nearest_difference(
-                self._aliasing, self._hypotheses.poses, costmap, radius + room, pose, self._visited
-            )
-            if place is not None:
-                self._seed += 1
-                return GoalRunner(self.tools, place, self._seed)
-        return None
+        costmap, radius = self.tools.obstacles.static, self.tools.model.circumscribed_radius + PADDING_M
+        place = nearest_difference(
+            self._aliasing, self._hypotheses.poses, costmap, radius, pose, self._visited
+        )
+        if place is None:
+            return None
+        self._seed += 1
+        return GoalRunner(self.tools, place, self._seed)
 
 
 def passable_under_all(costmap: Costmap, hypotheses: Sequence[SE2]) -> Costmap:
