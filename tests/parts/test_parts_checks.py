@@ -100,7 +100,7 @@ def world(part):
         (front_end, parts.Backwards, "step: revised must be scans before this one"),
         (front_end, parts.NoPairs, "step: revised must be scans before this one"),
         (front_end, parts.Perhaps, "step: sure must be a bool, not an array of shape (2,)"),
-        (front_end, parts.Sources, "step: source must be 0 to 3"),
+        (front_end, parts.Sources, "step: source must be 0 to 4"),
         (testing.check_loop_match, parts.Mumbles, "confirms: must be true for the true pose"),
         (testing.check_localiser, parts.Boastful, "agreement must be a share 0..1, not 7"),
         (testing.check_localiser, parts.Empty, "particles must be poses (n,), at least one"),
