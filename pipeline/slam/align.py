@@ -208,7 +208,7 @@ def align_kernel(
     return pose, observable(hessian, faked), matched, usable, unknown, rms, cost - unknown
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def add_equation(h: Array, g: Array, w: float, j0: float, j1: float, j2: float, e: float) -> None:
     """Add an equation j x = -e of some weight to the upper half of the normal equations h x = -g."""
     h[0, 0] += w * j0 * j0

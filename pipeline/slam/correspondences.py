@@ -36,7 +36,7 @@ class Limits(NamedTuple):
 ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> int:
     """Row of the point of scan `key` nearest to (x, y) in that scan's base frame, or -1 beyond `gate`."""
     points, table, origin = clouds.points, clouds.table, clouds.origin
@@ -72,7 +72,7 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
     return best
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
     """Whether scan `key` had (x, y), in its base frame, in view: all beams about that bearing reached it but
     for `margin` [m], and there are at least two of them."""
@@ -92,7 +92,7 @@ def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
     return beams >= 2
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
     """T_i_j as x, y, yaw, of rows i and j of poses (n, 3)."""
     c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
@@ -100,7 +100,7 @@ def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
     return c * dx + s * dy, -s * dx + c * dy, poses[j, 2] - poses[i, 2]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def partner_line(
     clouds: Clouds, r: int, key: int, T_key_scan: tuple[float, float, float, float], limits: Limits
 ) -> tuple[int, float, float]:

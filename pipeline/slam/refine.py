@@ -202,7 +202,7 @@ def linearise_pairs(
     return relative, information, overlap
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _half(
     clouds: Clouds,
     scan: int,
