@@ -158,6 +158,7 @@ def test_laps_closed_laps_and_retries():
         ([1, 2, 0.5], 0.5),
         ({"x": 1, "y": 2}, 0.0),
         ({"x": 1, "y": 2, "quaternion": [0, 0, 3.0, 3.0]}, math.pi / 2),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, math.sin(0.35), math.cos(0.35)]}, 0.7),
     ],
 )
 def test_good_entries(entry, yaw):

@@ -8,6 +8,7 @@ import pytest
 
 from tests.helpers.made_drives import Drive, FloorPlan, Sensor, make_log
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
+from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam import selfcheck
@@ -197,3 +198,5 @@ def test_residuals_in_standard_deviations_and_the_graph_as_text(tmp_path):
     found = place(2, 1, (poses[1].inverse() @ poses[2] @ SE2.from_xyt(0.3, 0.4, -0.2)).xyt)
     left = _residual(found, poses)
     assert (left["residual_m"], left["residual_rad"]) == pytest.approx((0.5, 0.2))
+    in_space = _residual(place(2, 1, se3.lifted(SE2(found.T_j_i))), se3.lifted(poses))
+    assert in_space == pytest.approx({"residual_m": 0.5, "residual_rad": 0.2}, rel=0.02)

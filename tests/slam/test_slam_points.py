@@ -13,6 +13,7 @@ from benchmarks.slam_scores import errors
 from tests.helpers.made_logs import arena, posts
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.slam.align import STEP_INFLATION
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.open3d_icp import match_points
@@ -176,6 +177,15 @@ def test_without_odometry_no_direction_of_a_step_is_left_free():
         known = sum(c.information for c in steps if c.i == k)
         assert np.linalg.eigvalsh(known)[0] > 1.0
     assert {c.kind for c in steps} == {"step", "steady"}
+
+
+def test_a_step_knows_what_the_scan_at_its_end_saw():
+    keys, none = np.array([0, 2, 5]), np.zeros(6)
+    poses = SE2(np.stack([0.3 * np.arange(6), none, none], axis=1))
+    seen = np.arange(1.0, 7.0)[:, None, None] * np.diag([1e4, 2e4, 3e4])
+    track = Track(poses, keys, 1.0 + none, none, seen, np.zeros(6, np.int8), None, Calibration(), none == 0)
+    steps = [c for c in step_constraints(track, TrackingConfig()) if c.kind == "step"]
+    np.testing.assert_allclose([c.information for c in steps], seen[[2, 5]] / STEP_INFLATION)
 
 
 def test_wheels_that_were_not_believed_have_no_say_of_steps_that_scans_are_blind_in():
