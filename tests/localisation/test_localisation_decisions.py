@@ -182,6 +182,13 @@ def test_the_trust_in_odometry_follows_the_scans_nis():
     np.testing.assert_allclose(tracked.T_map_base.xyt, PLACE.xyt)
 
 
+def test_where_even_a_new_start_disagrees_the_clouds_mean_is_told(monkeypatch):
+    monkeypatch.setattr(fine_pose, "_agree", lambda pose, cloud: False)
+    off = PLACE @ SE2.from_xyt(0.03, -0.02, 0.02)
+    cloud = Estimate(off, 1e-3 * np.eye(3), np.eye(3), 1.0)
+    assert FinePose(GRID).correct(cloud, beams_at(PLACE).points) is cloud.T_map_base
+
+
 def test_the_fine_pose_is_matched_with_the_first_scan_already_and_starts_again_where_it_disagrees():
     fine, points = FinePose(GRID), beams_at(PLACE).points
     off = PLACE @ SE2.from_xyt(0.03, -0.02, 0.02)
