@@ -53,6 +53,10 @@ LOST, LOST_STEP_RAD = 1.0, 0.035
 NIS_WEIGHT = 0.01
 
 
+Found = tuple[Alignment, int, float]
+"""An alignment, the start that it is from, and its cost."""
+
+
 @dataclass
 class Doubt:
     """What went before a gap: the pose (3,) of the last scan, whether the wheels were believed, and how many
@@ -142,18 +146,16 @@ class Lines:
             step = tracker.odometry_since(scan - self.doubt.ago)
             carried = compose(self.doubt.T_map_base, step)
             other = self._best(scan, [(0, carried)], carried, config.odometry.information(step))
-            if other is not None and (best is None or other[2] < best[2]):
-                best = other
+            best = other if _beats(other, best) else best
         if any(math.dist(start[:2], tracker.pose[:2]) > ROUGH.gate for _, start in starts):
             # wheels may spin before an obstacle, and partners are not looked for so far
             still = self._best(scan, [(STANDSTILL, tracker.pose)], guess, information)
-            if still is not None and still[0].agreement >= SURELY_THERE:
-                best = min(best or still, still, key=lambda found: found[2])
+            if still is not None and still[0].agreement >= SURELY_THERE and _beats(still, best):
+                best = still
         if best is None or best[2] > self._usual_cost + FITS:
             wide = self._recover(scan, [pose for _, pose in starts])
             again = self._best(scan, [(3, wide)], guess, information)
-            if again is not None and (best is None or again[2] < best[2] - SURELY_BETTER):
-                best = again
+            best = again if _beats(again, best, by=SURELY_BETTER) else best
         if best is None:
             return _fits_nothing(guess), 0
         self._usual_cost += FOLLOWS * (best[2] - self._usual_cost)
@@ -161,7 +163,7 @@ class Lines:
 
     def _best(
         self, scan: int, starts: Iterable[tuple[int, Array]], prior: Array, information: Array
-    ) -> tuple[Alignment, int, float] | None:
+    ) -> Found | None:
         """The alignment of least cost over the starts; cost is per usable point, 0 good .. 1 bad."""
         tracker, best = self.tracker, None
         usable = tracker.clouds.lines(scan)
@@ -196,6 +198,11 @@ class Lines:
             best_pose(self.tracker.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
         ]
         return max(found, key=lambda pair: pair[1])[0]
+
+
+def _beats(one: Found | None, best: Found | None, by: float = 0.0) -> bool:
+    """Whether one costs less than the best so far."""
+    return one is not None and (best is None or one[2] < best[2] - by)
 
 
 def _fits_nothing(pose: Array) -> Alignment:

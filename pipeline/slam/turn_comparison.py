@@ -188,7 +188,7 @@ class _Turns(NamedTuple):
     stretch: NDArray[np.int64]
 
     def some(self, every: int) -> _Turns:
-        """Those of the first stretch and every so manieth after it."""
+        """Those of one in `every` stretches, from the first."""
         chosen = self.stretch % every == 0
         return _Turns(self.off[:, :, chosen], self.stretch[chosen])
 
@@ -248,7 +248,7 @@ def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
 
 
 def _turns(scans: Recording, late_s: float, noise: RangeNoise, every: int = 1) -> _Turns:
-    """How scans and odometry turn in every so manieth stretch, the sweeps undone as of an odometry so much
+    """How scans and odometry turn in one of `every` stretches, the sweeps undone as of an odometry so much
     late."""
     spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)[::every]]
     stream = _stream(scans)
