@@ -25,8 +25,8 @@ PITCH_M = 0.03
 
 
 class FootprintSamples(NamedTuple):
-    """Points of the footprint (n, 2) in the base frame [m], its two radii [m], and how many of them, the
-    first ones, are on its outline."""
+    """Points of the footprint (n, 2) in the base frame [m], of which the first `outline` lie on its outline,
+    and its two radii [m]."""
 
     points: Array
     inscribed: float

@@ -37,11 +37,10 @@ Not measured."""
 TIGHT_PULL, TIGHT_SWEEPS = 0.9, 300
 """The same for pulling a path tight: with those of the band RRTConnect's are 0.5 % longer."""
 INFORMED = 1.1
-"""OMPL searches only floor on some way at most this much longer than the shortest over the cells.
-
-Not measured."""
+"""OMPL searches only floor on some way at most this much longer than the shortest over the cells: without
+it RRTConnect's are 2.5 % longer on average, one 78 % (48 plans on eight maps)."""
 POSE_RUNS = 12
-"""New seeds for a path of poses that is not found (not measured)."""
+"""New seeds for a path of poses that is not found: of 12 with Dubins curves 8 are found, 7 with one."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
