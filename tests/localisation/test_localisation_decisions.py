@@ -172,9 +172,10 @@ def test_the_trust_in_odometry_follows_the_scans_nis():
         fine._learn(nis)
         share *= 1.0 + 0.05 * (nis - 0.5)
         assert fine._share == pytest.approx(share)
-    for _ in range(200):
-        fine._learn(3.0)
-    assert fine._share == 1.0
+    for nis, end in ((0.0, fine_pose.LEAST_SHARE), (3.0, 1.0)):
+        for _ in range(200):
+            fine._learn(nis)
+        assert fine._share == end
     for std, started in ((0.149, True), (0.151, False)):
         cloud = Estimate(PLACE, np.diag([1e-4, std**2, 1e-4]), np.eye(3), 1.0)
         assert (fine._started(cloud) is not None) == started
