@@ -12,6 +12,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
+from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import State
@@ -64,6 +65,7 @@ class NavigationDriver(Driver):
             state = relocaliser.update(observation, examine=not self.sequence.finished)
             if relocaliser.void:
                 self._forget()
+                T_frame_odom = self._localised(relocaliser.localiser, observation)
             if state is not State.DRIVE and not self.sequence.finished:
                 return self._find(relocaliser, state, observation, span_ns)
         if sweep is not None and T_frame_odom is not None:
@@ -190,8 +192,11 @@ class NavigationDriver(Driver):
         """Odometry's frame in the frame of goals and costmap; None while it is not known."""
         if self.relocaliser is None:
             return SE2.identity()
-        localiser = self.relocaliser.localiser
-        localiser.observe(observation)
+        self.relocaliser.localiser.observe(observation)
+        return self._localised(self.relocaliser.localiser, observation)
+
+    def _localised(self, localiser: Localiser, observation: Observation) -> SE2 | None:
+        """Take over the localiser's pose, which is another one once it was moved to another place."""
         self.estimate = localiser.T_map_base(observation.odometry.T_odom_base)
         return localiser.T_map_odom
 

@@ -29,10 +29,12 @@ from turtlebag.pipeline.navigation.disambiguation import nearest_difference, pas
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
+from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.navigation.setup import prepare as prepare_mission
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.planners.global_plan import plan_path
 from turtlebag.sim import shapes
 from turtlebag.sim.faults import FaultConfig
 from turtlebag.sim.robots import load_robot
@@ -229,7 +231,7 @@ def test_a_hypothesis_that_is_left_behind_over_several_scans_is_dropped():
 
 def run(place, tmp_path, config, seed=2, **request):
     path = save_map(place.rasterize(BURGER.lidar_height), tmp_path, "map")
-    asked = Request(task="goal", seed=seed, map_path=path, timeout_s=90.0, **request)
+    asked = Request(**{"task": "goal", "seed": seed, "map_path": path, "timeout_s": 90.0} | request)
     mission = prepare_mission(asked, BURGER, config, place.keepout)
     with Simulator(place, BURGER, config.sim, seed) as simulator:
         return drive(simulator, mission)
@@ -255,6 +257,28 @@ def test_where_nothing_tells_them_apart_no_goal_counts_and_the_reason_is_said(tm
     assert outcome["status"] != "reached"
     # One place alone in its cloud has a rival; with both in it the robot says that it is lost.
     assert REASON in outcome["reason"] or LOST in outcome["reason"]
+
+
+@pytest.mark.slow
+def test_the_way_to_a_goal_begins_where_a_comparison_has_moved_the_estimate(tmp_path, monkeypatch):
+    starts, moved = [], []
+
+    def planned(costmap, model, start, *rest):
+        starts.append(start)
+        return plan_path(costmap, model, start, *rest)
+
+    def examined(relocaliser, now_ns):
+        if now_ns > 2e9 and not moved:
+            moved.append(now_ns)
+            relocaliser._move_to(TWIN)
+
+    monkeypatch.setattr("turtlebag.pipeline.navigation.goal_runner.plan_path", planned)
+    monkeypatch.setattr(Relocaliser, "_examine", examined)
+    asked = {"goal": SE2.from_xyt(1.0, 2.0, 0.0), "timeout_s": 3.0}
+    run(world(cupboard=False), tmp_path, NavigateConfig(), initial_pose="start", **asked)
+    before, after = starts[0], starts[1]
+    assert np.linalg.norm((TWIN @ before).xy - after.xy) < 0.6
+    assert np.linalg.norm(before.xy - after.xy) > 1.0
 
 
 @pytest.mark.slow
