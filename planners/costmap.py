@@ -16,7 +16,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.planners.distance_transform import distance_field
-from turtlebag.planners.grid_distance import GridDistance, grid_distance
+from turtlebag.planners.grid_distance import GridDistance, descend, grid_distance
 
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
@@ -53,6 +53,8 @@ class Costmap:
     lethal: Mask
     resolution: float
     T_map_grid: SE2
+    keepout: Mask | None = None
+    """Lethal cells that are floor in a keep-out area; None: there is no such area."""
 
     @cached_property
     def clearance(self) -> NDArray[np.float32]:
@@ -81,7 +83,33 @@ class Costmap:
 
     def with_lethal(self, extra: Mask) -> Costmap:
         """The same map with more lethal cells."""
-        return Costmap(self.lethal | extra, self.resolution, self.T_map_grid)
+        keepout = None if self.keepout is None else self.keepout & ~extra
+        return Costmap(self.lethal | extra, self.resolution, self.T_map_grid, keepout)
+
+    def with_way_out(self, T_map_base: SE2, radius: float) -> Costmap:
+        """The same map; a disc of `radius` [m] that is in a keep-out area may take the shortest way out.
+
+        A robot that did not know where it was, or was carried, may stand in one. The way is as wide again as
+        the disc, so that a controller that keeps its distance follows it.
+        """
+        if self.keepout is None:
+            return self
+        res, xy = self.resolution, self.T_grid_map @ T_map_base.xy / self.resolution
+        if nearest_free(self.clearance > radius, xy, SNAP_M / res) is not None:
+            return self
+        floor = clearance_field(self.lethal & ~self.keepout, res) > radius
+        start = nearest_free(floor, xy, SNAP_M / res)
+        if start is None:
+            return self
+        ways = grid_distance(floor, *start, np.inf)
+        outside = np.where(self.clearance > radius, ways, np.inf)
+        row, col = np.unravel_index(int(outside.argmin()), outside.shape)
+        if not np.isfinite(outside[row, col]):
+            return self
+        way = np.zeros_like(self.lethal)
+        way[tuple(descend(ways, int(row), int(col)).T)] = True
+        closed = self.keepout & (distance_field(way, res) > 2.0 * radius)
+        return Costmap(self.lethal & ~self.keepout | closed, res, self.T_map_grid, closed)
 
 
 def clearance_field(lethal: Mask, resolution: float) -> NDArray[np.float32]:
@@ -108,9 +136,10 @@ def costmap_from_grid(grid: OccupancyGrid, config: CostmapConfig, keepout: Seque
     if config.unknown == "blocked":
         lethal |= _unknown_without_specks(grid)
     costmap = Costmap(lethal, grid.resolution, grid.T_map_grid)
-    for polygon in keepout:
-        costmap = costmap.with_lethal(polygon_mask(costmap, polygon))
-    return costmap
+    if not keepout:
+        return costmap
+    areas = np.any([polygon_mask(costmap, polygon) for polygon in keepout], axis=0) & ~lethal
+    return Costmap(lethal | areas, grid.resolution, grid.T_map_grid, areas)
 
 
 def _unknown_without_specks(grid: OccupancyGrid) -> Mask:
@@ -148,6 +177,7 @@ def ways_from(costmap: Costmap, T_map_base: SE2, radius: float) -> GridDistance 
 
     None where the robot stands too near an obstacle.
     """
+    costmap = costmap.with_way_out(T_map_base, radius)
     free, res = costmap.clearance > radius, costmap.resolution
     start = nearest_free(free, costmap.T_grid_map @ T_map_base.xy / res, SNAP_M / res)
     return None if start is None else grid_distance(free, *start, np.inf) * np.float32(res)

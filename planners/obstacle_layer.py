@@ -40,16 +40,20 @@ ON_MAP = Marking()
 class ObstacleLayer:
     """Obstacles that the lidar sees, over a static costmap of the same grid."""
 
+    costmap: Costmap
+    """The static map with the obstacles seen up to the last update."""
+    marked: int
+    """Number of cells with an obstacle seen."""
+
     def __init__(self, static: Costmap, marking: Marking = ON_MAP) -> None:
         self.marking = marking
         self.static = static
+        """The map, with a way out of the keep-out area that the robot was in when it last planned."""
+        self._closed = static
         shape = static.lethal.shape
         self._seen: NDArray[np.float64] = np.full(shape, NEVER)
         self._hits: NDArray[np.int16] = np.zeros(shape, dtype=np.int16)
-        self.costmap = static
-        """The static map with the obstacles seen up to the last update."""
-        self.marked = 0
-        """Number of cells with an obstacle seen."""
+        self._show(np.zeros(shape, dtype=bool))
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
         """Take in a sweep: end points (n, 2) of beams that hit, and of those that met nothing, map frame.
@@ -63,8 +67,13 @@ class ObstacleLayer:
         _mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
         marked = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
         self._hits[self._seen <= now_s - c.decay] = 0
-        self.marked = int(marked.sum())
-        self.costmap = self._combined(marked) if self.marked else static
+        self._show(marked)
+
+    def let_out(self, T_map_base: SE2, radius: float) -> None:
+        """Let a disc of `radius` [m] out of a keep-out area; any earlier way out is closed again."""
+        if self._closed.keepout is not None:
+            self.static = self._closed.with_way_out(T_map_base, radius)
+            self._show(self._marked)
 
     def aim(self, pose: SE2, goal: SE2, radius: float) -> SE2:
         """Where to plan to on the way from a pose to a goal: on a map, the goal itself."""
@@ -80,8 +89,11 @@ class ObstacleLayer:
         """Forget all obstacles seen."""
         self._seen[:] = NEVER
         self._hits[:] = 0
-        self.marked = 0
-        self.costmap = self.static
+        self._show(np.zeros_like(self.static.lethal))
+
+    def _show(self, marked: Mask) -> None:
+        self._marked, self.marked = marked, int(marked.sum())
+        self.costmap = self._combined(marked) if self.marked else self.static
 
     def _combined(self, marked: Mask) -> Costmap:
         """The lesser of both clearances: exact within REACH_M of the cells marked, and so everywhere."""
@@ -97,7 +109,7 @@ class ObstacleLayer:
         clearance = static.clearance.copy()
         # Beyond the reach a marked obstacle's distance is cut short on purpose: nothing is that near.
         np.minimum(clearance[window], near, out=clearance[window])
-        combined = Costmap(static.lethal | marked, static.resolution, static.T_map_grid)
+        combined = static.with_lethal(marked)
         combined.__dict__["clearance"] = clearance
         return combined
 

@@ -94,7 +94,11 @@ def passable_under_all(costmap: Costmap, hypotheses: Sequence[SE2]) -> Costmap:
     lethal = costmap.lethal.copy()
     for T_map_map in hypotheses:
         lethal |= costmap.clearance_at(T_map_map @ centres) <= 0.0
-    return Costmap(lethal, costmap.resolution, costmap.T_map_grid)
+    keepout = None
+    if costmap.keepout is not None:
+        walls = Costmap(costmap.lethal & ~costmap.keepout, costmap.resolution, costmap.T_map_grid)
+        keepout = lethal & ~passable_under_all(walls, hypotheses).lethal
+    return Costmap(lethal, costmap.resolution, costmap.T_map_grid, keepout)
 
 
 def nearest_difference(

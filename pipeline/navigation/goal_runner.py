@@ -186,8 +186,10 @@ class GoalRunner:
         """A new path; without one the way on is recovery, or giving up when there never was one."""
         t, self._route = self.tools, None
         self._plans += 1
+        radius = t.model.circumscribed_radius + min(t.plan.margins)
+        t.obstacles.let_out(tick.pose, radius)
         try:
-            aim = t.obstacles.aim(tick.pose, self.goal, t.model.circumscribed_radius + min(t.plan.margins))
+            aim = t.obstacles.aim(tick.pose, self.goal, radius)
             seed = self._seed + 1000 * self._plans
             plan = plan_path(t.obstacles.costmap, t.model, tick.pose, aim, t.plan, seed)
         except NoPath as error:

@@ -56,6 +56,23 @@ def test_beams_that_pass_clear_and_time_forgets():
     assert obstacles.costmap is obstacles.static
 
 
+def test_a_way_out_of_a_keepout_is_open_until_a_plan_is_made_from_elsewhere():
+    area = np.array([[0.0, -0.5], [2.0, -0.5], [2.0, 2.5], [0.0, 2.5]])
+    closed = costmap_from_grid(room(60, 60), CostmapConfig(), [area])
+    obstacles, inside, hit = ObstacleLayer(closed), SE2.from_xyt(0.6, 0.5, 0.0), np.array([[-0.53, 0.52]])
+    for now in (0.0, 0.2):
+        obstacles.update(now, SE2.from_xyt(-0.8, 0.5, 0.0), hit, NOTHING)
+    obstacles.let_out(inside, 0.15)
+    for costmap in (obstacles.static, obstacles.costmap):
+        assert costmap.clearance_at(inside.xy) > 0.15
+        assert costmap.clearance_at(np.array([1.5, 0.5])) == 0.0
+    assert obstacles.marked == 1
+    assert obstacles.costmap.clearance_at(hit[0]) == 0.0
+    obstacles.let_out(SE2.from_xyt(-0.6, 0.5, 0.0), 0.15)
+    assert obstacles.static is closed
+    assert obstacles.costmap.clearance_at(inside.xy) == obstacles.costmap.clearance_at(hit[0]) == 0.0
+
+
 def test_the_ladder_is_bounded_and_starts_again_after_progress():
     cleared = []
     config = RecoveryConfig(total=11)

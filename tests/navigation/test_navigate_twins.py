@@ -199,6 +199,17 @@ def test_what_stops_the_robot_under_one_hypothesis_stops_it():
     assert np.all(both.lethal[costmap.lethal])
 
 
+def test_a_keepout_under_any_hypothesis_is_one_but_for_walls():
+    area = np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 3.0], [1.0, 3.0]])
+    costmap = costmap_from_grid(room().grid(), CostmapConfig(), [area])
+    both = passable_under_all(costmap, [SE2.identity(), TWIN])
+    walls = passable_under_all(costmap_from_grid(room().grid(), CostmapConfig()), [SE2.identity(), TWIN])
+    assert np.array_equal(both.keepout, both.lethal & ~walls.lethal)
+    here, there = (both.clearance_at(T @ np.array([2.0, 2.0])) for T in (SE2.identity(), TWIN))
+    assert here == there == 0.0
+    assert both.keepout.sum() > 1.8 * costmap.keepout.sum()
+
+
 def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
     grid = room().grid()
     costmap = passable_under_all(costmap_from_grid(grid, CostmapConfig()), [SE2.identity(), TWIN])

@@ -72,6 +72,19 @@ def test_carried_off_beside_its_own_twin_a_robot_does_not_count_goals_before_it_
 
 
 @pytest.mark.slow
+def test_a_robot_put_into_a_keepout_leaves_it_and_arrives(true_map):
+    area = np.array([[-1.1, -1.1], [1.1, -1.1], [1.1, 1.1], [-1.1, 1.1]])
+    start, goal = SE2.from_xyt(0.55, 0.55, 1.0), SE2.from_xyt(-0.4, 1.7, 3.14)
+    episode = run(true_map, FaultConfig(), start=start, goal=goal, keepout=(area,))
+    assert episode.metrics["goals"][0]["status"] == "reached"
+    inside = np.all(np.abs(episode.log.T_world_base.xy) < 1.1, axis=1)
+    steps = np.linalg.norm(np.diff(episode.log.T_world_base.xy, axis=0), axis=1)
+    # 0.55 m to the edge, between two pillars; then round them, and in no more.
+    assert steps[inside[1:]].sum() < 0.8
+    assert not inside[int(inside.sum()) :].any()
+
+
+@pytest.mark.slow
 def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(true_map):
     told = SE2.from_xyt(-2.9, -0.4, 0.5)
     goal = SE2.from_xyt(-0.55, -0.55, 0.0)

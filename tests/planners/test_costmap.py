@@ -8,7 +8,13 @@ from hypothesis import strategies as st
 from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid, polygon_mask
+from turtlebag.planners.costmap import (
+    Costmap,
+    CostmapConfig,
+    costmap_from_grid,
+    polygon_mask,
+    ways_from,
+)
 from turtlebag.planners.footprint import disc_segment_free, field_at, footprint_clearance, sample_footprint
 
 
@@ -60,6 +66,46 @@ def test_keepout_polygons_are_lethal_in_a_turned_map_too():
 def free_map(size):
     cells = np.full((size, size), FREE, dtype=np.int8)
     return costmap_from_grid(OccupancyGrid(cells, 0.05, SE2.identity()), CostmapConfig())
+
+
+AREA = np.array([[0.0, -0.5], [2.0, -0.5], [2.0, 1.5], [0.0, 1.5]])
+"""A keep-out area: all of the room to the right of x = 0, with a wall in it."""
+
+
+def kept_out_room():
+    grid = room()
+    grid.cells[14:, 24] = OCCUPIED  # at x = 0.2 m, from y = 0.2 m upwards
+    return costmap_from_grid(grid, CostmapConfig(), [AREA])
+
+
+def test_a_robot_in_a_keepout_may_leave_it_the_shortest_way_that_walls_allow():
+    costmap, inside = kept_out_room(), SE2.from_xyt(0.6, 0.3, 0.0)
+    opened = costmap.with_way_out(inside, 0.15)
+    new = costmap.lethal & ~opened.lethal
+    assert np.all(costmap.keepout[new])
+    assert np.array_equal(opened.keepout, costmap.keepout & ~new)
+    ways = ways_from(costmap, inside, 0.15)
+    # Out of the area the nearest place is 0.75 m away; the way there leads round the wall's end.
+    least = ways[costmap.clearance > 0.15].min()
+    assert 0.75 < least < 1.1
+    rows, cols = np.nonzero(new)
+    x, y = (costmap.T_map_grid @ (np.column_stack([cols + 0.5, rows + 0.5]) * 0.05)).T
+    assert x.min() < 0.05
+    assert y.min() < 0.05
+    assert y.max() < 0.3 + 2.0 * 0.15 + 0.05
+    assert x.max() < 0.6 + 2.0 * 0.15 + 0.05
+    # Whoever is outside gets no way in.
+    outside = SE2.from_xyt(-0.6, 0.3, 0.0)
+    assert costmap.with_way_out(outside, 0.15) is costmap
+    assert not np.isfinite(ways_from(costmap, outside, 0.15)[costmap.keepout]).any()
+
+
+def test_a_cell_that_is_seen_occupied_in_a_keepout_stays_closed():
+    costmap = kept_out_room()
+    seen = np.zeros_like(costmap.lethal)
+    seen[12, 28:36] = True
+    opened = costmap.with_lethal(seen).with_way_out(SE2.from_xyt(0.6, 0.3, 0.0), 0.15)
+    assert opened.lethal[seen].all()
 
 
 @settings(max_examples=60, deadline=None)
