@@ -245,7 +245,7 @@ LIDARS: dict[str, Callable[[Known], Known]] = {
 
 def mishap_row(log: str, lidar: str, pictures: Path) -> Row:
     """A log with mishaps and one of LIDARS, against the exact truth."""
-    made = by_name(None, log)
+    made = by_name(log)
     heard = LIDARS[lidar](made)
     result, row = mapped(heard.recording)
     picture(result.grid, pictures / "maps", f"{log}-{lidar}".replace(" ", "_"))

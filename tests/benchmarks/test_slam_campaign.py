@@ -12,12 +12,15 @@ from pathlib import Path
 import pytest
 
 from benchmarks import runner as frame
-from benchmarks import slam_campaign
+from benchmarks import slam_campaign, slam_logs
 from benchmarks.disturb import KINDS, SCORED
+from benchmarks.known import known
 from benchmarks.runner import Case, Rows, every, in_processes
 from benchmarks.slam_detector import accuracy, detection, detector_cases, judged
-from benchmarks.slam_logs import BARE, MADE, MISHAPS, WORLDS, drive_cases, mishap_cases
+from benchmarks.slam_logs import BARE, LIDARS, MADE, MISHAPS, WORLDS, drive_cases, mishap_cases
 from benchmarks.slam_parts import NUMBERS, multiply_constant
+from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
+from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import (
     align,
     calibration,
@@ -53,6 +56,18 @@ def test_mishaps_are_ones_there_are_and_each_log_s_lidars_are_measured_together(
     logs = [log for log, _ in groupby(case.about["log"] for case in cases)]
     assert logs == list(MADE)
     assert {MADE[log][2] for log in logs[:12]} == {1}  # a first part has each once
+
+
+def test_a_log_with_mishaps_is_measured_with_every_lidar(tmp_path, monkeypatch):
+    poses = around_the_room(40)
+    log = known(recording(ROOM, poses, LDS, odometry=drifted(poses)), SE2(poses))
+    monkeypatch.setattr(slam_logs, "mishap", lambda *about: log)
+    monkeypatch.setattr(slam_logs, "warm_up", lambda: None)
+    for lidar in LIDARS:
+        row = slam_logs.mishap_row(next(iter(MADE)), lidar, tmp_path)
+        assert row["worst_m"] < 0.1, lidar
+        assert row["driven_m"] == pytest.approx(log.truth.length())
+    assert len(list((tmp_path / "maps").glob("*.png"))) == len(LIDARS)
 
 
 def test_every_combination_of_levels_is_a_case_that_says_which():
