@@ -15,9 +15,10 @@ import os
 import tempfile
 import time
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import turtlebag as tb
 from benchmarks.runner import Row, held_mb, options, write
@@ -63,72 +64,55 @@ def cluster(workers: int, folder: Path) -> Iterator[tuple[str, list[int]]]:
         yield made.scheduler_address, [p.process.pid for p in (made.scheduler, *made.workers.values())]
 
 
-def timed(campaign: Campaign, run: Run, workers: int, folder: Path, parts: int) -> Iterator[Row]:
-    """At each of so many parts of the campaign: seconds and processor time since the first case was done, and
-    the memory of the scheduler and of this process."""
-    runs = Store(str(folder / "store" / str(workers)))
-    todo = cases(campaign)
+def timed(campaign: dict[str, Any], run: Run, workers: int, folder: Path, parts: int) -> Iterator[Row]:
+    """At each of so many parts of the campaign: time since the first case was done, and memory."""
+    made = Campaign.model_validate(campaign)
+    runs, todo = Store(str(folder / "store" / str(workers))), cases(made)
     with cluster(workers, folder) as (address, pids):
         where = Where(runs, runs.below("outputs"), "")
-        found = run_cases(campaign, todo, where, run, folder, scheduler=address)
+        found = run_cases(made, todo, where, run, folder, scheduler=address)
         kept = [next(found)]  # the workers have started and loaded what they need
         start, cpu_s = time.perf_counter(), spent([os.getpid(), *pids])
         for done, item in enumerate(found, start=1):
             kept.append(item)
             assert not item[0]["failed"], item[0]["error"]
             if done % max((len(todo) - 1) // parts, 1) == 0:
-                yield {
-                    "cases": done,
-                    "wall_s": time.perf_counter() - start,
-                    "cpu_s": spent([os.getpid(), *pids]) - cpu_s,
-                    "scheduler_mb": held_mb(pids[0]),
-                    "command_mb": held_mb(),
-                }
+                times = {"wall_s": time.perf_counter() - start, "cpu_s": spent([os.getpid(), *pids]) - cpu_s}
+                memory = {"scheduler_mb": held_mb(pids[0]), "command_mb": held_mb()}
+                yield {"workers": workers, "cases": done, **times, **memory}
 
 
-def overhead(count: int, folder: Path) -> list[Row]:
-    """Empty cases: milliseconds of a worker for each."""
-    campaign = Campaign.model_validate(
-        {
-            "name": "empty",
-            "factors": {"n": {"first": 1, "last": count}},
-            "stages": {"nothing": "nothing {n}"},
-            "results": {"n1": "nothing:n"},
-        }
-    )
+def overhead(args: Namespace, folder: Path) -> list[Row]:
+    """Empty cases: milliseconds of a worker, and of all processors, for each."""
+    campaign = {
+        "name": "empty",
+        "factors": {"n": {"first": 1, "last": args.cases}},
+        "stages": {"nothing": "nothing {n}"},
+        "results": {"n1": "nothing:n"},
+    }
     rows = list(timed(campaign, nothing, WORKERS, folder, 10))
-    return [
-        {
-            **row,
-            "worker_ms_a_case": 1000.0 * WORKERS * row["wall_s"] / row["cases"],
-            "cpu_ms_a_case": 1000.0 * row["cpu_s"] / row["cases"],
-        }
-        for row in rows
-    ]
+    for row in rows:
+        row["worker_ms_a_case"] = 1000.0 * WORKERS * row["wall_s"] / row["cases"]
+        row["cpu_ms_a_case"] = 1000.0 * row["cpu_s"] / row["cases"]
+    return rows
 
 
-def speedup(folder: Path) -> list[Row]:
+def speedup(args: Namespace, folder: Path) -> list[Row]:
     """Maps of one drive by one worker and by two."""
-    drive = tb.record("turtlebot3_world", out=folder / "drive")
-    campaign = Campaign.model_validate(
-        {
-            "name": "maps",
-            "bags": [str(drive.path)],
-            "factors": {"n": {"first": 1, "last": MAPS}},
-            "stages": {"map": "map {bag} --set grid.resolution_m={n:0.05+0*x}"},
-            "results": {"scans": "map:scans"},
-        }
-    )
-    rows = []
-    for workers in (1, WORKERS):
-        row = list(timed(campaign, turtlebag, workers, folder, 1))[-1]
-        rows.append({"workers": workers, **{key: row[key] for key in ("cases", "wall_s", "cpu_s")}})
+    campaign = {
+        "name": "maps",
+        "bags": [str(tb.record("turtlebot3_world", out=folder / "drive").path)],
+        "factors": {"n": {"first": 1, "last": MAPS}},
+        "stages": {"map": "map {bag} --set grid.resolution_m={n:0.05+0*x}"},
+        "results": {"scans": "map:scans"},
+    }
+    rows = [row for workers in (1, WORKERS) for row in timed(campaign, turtlebag, workers, folder, 1)]
     return [{**row, "speed_up": rows[0]["wall_s"] / row["wall_s"]} for row in rows]
 
 
-def queried(count: int, folder: Path) -> list[Row]:
+def queried(args: Namespace, folder: Path) -> list[Row]:
     """A table of so many rows, written and asked."""
-    ends = ("lines", "kiss_icp", "wheels")
+    count, ends = args.rows, ("lines", "kiss_icp", "wheels")
     rows = [
         {
             "case": f"{k:016x}",
@@ -151,18 +135,13 @@ def queried(count: int, folder: Path) -> list[Row]:
     return [{"rows": count, "write_s": written_s, "query_s": asked_s, "mb": size / 1e6}]
 
 
-PARTS: dict[str, Callable[[Namespace, Path], list[Row]]] = {
-    "overhead": lambda args, folder: overhead(args.cases, folder),
-    "speedup": lambda args, folder: speedup(folder),
-    "query": lambda args, folder: queried(args.rows, folder),
-}
+PARTS = {"overhead": overhead, "speedup": speedup, "query": queried}
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Measure what is asked for, print and write the tables."""
+def main() -> None:
     parser = options(__doc__, "data/benchmarks/sweep", cases=10_000, rows=1_000_000)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART")
-    args = parser.parse_args(argv)
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         for name in args.only:
             write(args.out, name, PARTS[name](args, Path(scratch)))
