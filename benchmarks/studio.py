@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -29,11 +30,8 @@ from tornado.websocket import WebSocketClientConnection
 from benchmarks.runner import SPAWN, Row, held_mb, options, public_log, write
 from docs.examples.studio_client import Client
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.slam.mapper import Mapper
-from turtlebag.pipeline.stages.record import deferred_interrupt
-from turtlebag.pipeline.stages.studio import studio_output
 from turtlebag.pipeline.studio.access import LOOPBACK, Access, listen, new_token
 from turtlebag.pipeline.studio.frames import Frames
 from turtlebag.pipeline.studio.pilot import DRAWN_EVERY_NS
@@ -72,21 +70,13 @@ class Viewer(Client):
         return there
 
 
-def serve_here(world: str, map_path: Path | None, out: Path, told: Connection) -> None:
+def serve_here(world: str, map_path: Path | None, folder: Path, told: Connection) -> None:
     """What the other process does: a studio; its address is told."""
-    import turtlebag.pipeline.stages.studio as stage
-
-    stage.Session = Stamped
     sockets = listen(LOOPBACK, 0)
     access = Access(new_token(), LOOPBACK, sockets[0].getsockname()[1])
-    setup = StudioSetup(world, ROBOT, 1, map_path)
-    with (
-        deferred_interrupt() as interrupted,
-        studio_output(setup, Output(out), say=lambda line: None) as session,
-    ):
-        asyncio.run(
-            serve(session, access, sockets, interrupted=interrupted, ready=lambda: told.send(access.url))
-        )
+    told_when_ready = partial(told.send, access.url)
+    with Stamped(StudioSetup(world, ROBOT, 1, map_path), folder, lambda line: None) as session:
+        asyncio.run(serve(session, access, sockets, interrupted=[], ready=told_when_ready))
 
 
 @contextmanager
@@ -94,7 +84,7 @@ def studio(world: str, map_path: Path | None) -> Iterator[tuple[Url, int]]:
     """A running studio: its address and process."""
     told, theirs = SPAWN.Pipe(duplex=False)
     with tempfile.TemporaryDirectory() as folder:
-        process: Any = SPAWN.Process(target=serve_here, args=(world, map_path, Path(folder) / "out", theirs))
+        process: Any = SPAWN.Process(target=serve_here, args=(world, map_path, Path(folder), theirs))
         process.start()
         theirs.close()
         try:
@@ -104,42 +94,45 @@ def studio(world: str, map_path: Path | None) -> Iterator[tuple[Url, int]]:
             process.join()
 
 
-def lateness(client: Viewer, first: int) -> Row:
-    """How the frames from the `first` on arrived."""
-    late, gaps = 1e3 * np.array(client.lates[first:]), 1e3 * np.diff(client.arrivals[first:])
-    seconds = client.arrivals[-1] - client.arrivals[first]
-    return {
-        "frames/s": round(late.size / seconds, 1),
-        "late_median_ms": round(float(np.median(late)), 1),
-        "late_p95_ms": round(float(np.quantile(late, 0.95)), 1),
-        "gap_p95_ms": round(float(np.quantile(gaps, 0.95)), 1),
-        "kB/s": round(sum(client.sizes[first:]) / seconds / 1e3, 1),
-        "kB_largest": round(max(client.sizes[first:]) / 1e3, 1),
-    }
+async def joined(url: Url) -> Viewer:
+    """A viewer that has seen a frame."""
+    client = await Viewer.open(url)
+    await client.until(lambda p: p.head, 120.0)
+    return client
 
 
 async def watched(client: Viewer, what: str, factor: float, seconds: float = WATCHED_S) -> Row:
-    """A row: frames of some time at a speed."""
+    """A row: how the frames of some time at a speed arrived."""
     client.ask("speed", factor=factor)
     await client.until(lambda p: p.head["asked"] == factor)
     first, t = len(client.arrivals), client.picture.head["t"]
     await client.read_for(seconds)
     pace = (client.picture.head["t"] - t) / (client.arrivals[-1] - client.arrivals[first - 1])
+    late, gaps = 1e3 * np.array(client.lates[first:]), 1e3 * np.diff(client.arrivals[first:])
+    spent, kb = client.arrivals[-1] - client.arrivals[first], np.array(client.sizes[first:]) / 1e3
     return {
         "what": what,
         "speed": "any" if factor == 0 else f"{factor:g}",
         "x_real_time": round(pace, 1),
-    } | lateness(client, first)
+        "frames/s": round(late.size / spent, 1),
+        "late_median_ms": round(float(np.median(late)), 1),
+        "late_p95_ms": round(float(np.quantile(late, 0.95)), 1),
+        "gap_p95_ms": round(float(np.quantile(gaps, 0.95)), 1),
+        "kB/s": round(kb.sum() / spent, 1),
+        "kB_largest": round(kb.max(), 1),
+    }
 
 
-async def begun(client: Viewer, laps: int) -> None:
-    """On its map and on patrol."""
-    await client.until(lambda p: p.head, 120.0)
+async def on_patrol(url: Url, laps: int) -> Viewer:
+    """A viewer of a robot on its map and on patrol, as fast as it goes."""
+    client = await joined(url)
     client.ask("pose_estimate", pose=START)
     client.ask("waypoints_load")
     await client.until(lambda p: p.waypoints, 120.0)
     go_round(client, laps)
     await client.until(lambda p: p.head["task"] == "patrol", 120.0)
+    client.ask("speed", factor=0)
+    return client
 
 
 def go_round(client: Viewer, laps: int) -> None:
@@ -150,9 +143,7 @@ def go_round(client: Viewer, laps: int) -> None:
 
 async def patrol(url: Url) -> tuple[list[Row], Row]:
     """Rows of a patrol that is watched, and its speed with and without a viewer."""
-    client = await Viewer.open(url)
-    await begun(client, 1000)
-    client.ask("speed", factor=0)
+    client = await on_patrol(url, 1000)
     await client.read_for(5.0)  # what is compiled at first use
     rows = [await watched(client, "patrol in the arena", factor) for factor in (1.0, 0.0)]
     speeds: dict[bool, list[float]] = {True: [], False: []}
@@ -164,8 +155,7 @@ async def patrol(url: Url) -> tuple[list[Row], Row]:
         else:
             client.close()
             await asyncio.sleep(TURN_S)
-            client = await Viewer.open(url)
-            await client.until(lambda p: p.head)
+            client = await joined(url)
         speeds[looking].append((client.picture.head["t"] - t) / (time.monotonic() - at))
     with_one, without = np.median(speeds[True]), np.median(speeds[False])
     assert client.picture.head["task"] == "patrol", client.picture.events[-3:]
@@ -179,8 +169,7 @@ async def patrol(url: Url) -> tuple[list[Row], Row]:
 
 async def exploring(url: Url) -> Row:
     """A row of a map that grows while the robot explores the house."""
-    client = await Viewer.open(url)
-    await client.until(lambda p: p.head, 120.0)
+    client = await joined(url)
     client.ask("explore")
     await client.until(lambda p: "map" in p.grids, 120.0)
     return await watched(client, "exploring the house", 1.0, 3 * WATCHED_S)
@@ -188,9 +177,7 @@ async def exploring(url: Url) -> Row:
 
 async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
     """Memory of the server, ten times within some minutes of patrol as fast as it goes, with a viewer."""
-    client, rows = await Viewer.open(url), []
-    await begun(client, 1)
-    client.ask("speed", factor=0)
+    client, rows = await on_patrol(url, 1), []
     client.ask("record", name="all")
     begin = time.monotonic()
     for part in range(11):
