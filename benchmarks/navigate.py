@@ -35,7 +35,7 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.pipeline.navigation.episode import Episode, drive
 from turtlebag.pipeline.navigation.setup import prepare
 from turtlebag.pipeline.stages.navigate import navigate
-from turtlebag.reports.metrics.navigation import collision_episodes
+from turtlebag.reports.metrics.navigation import GoalMetrics, collision_episodes
 from turtlebag.sim.simulator import Sensors, Simulator
 
 SENSORS: tuple[Sensors, ...] = get_args(Sensors)
@@ -62,8 +62,7 @@ class Scenario:
 
     def trial(self, seed: int) -> Trial:
         """The episode of a seed; other sensors change nothing else of it."""
-        made = self.make(self.name, seed).simulated(sensors=self.sensors)
-        return dataclasses.replace(made, name=self.full_name)
+        return self.make(self.name, seed).simulated(sensors=self.sensors)
 
 
 def scenarios(maps: Maps, quick: bool, sensors: Sensors = "realistic") -> list[Scenario]:
@@ -123,7 +122,7 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
     """
     m = episode.metrics
     reached = [g for g in m["goals"] if g["status"] == "reached"]
-    others = [g for g in m["goals"] if g["status"] != case.wanted or not _truly_there(g, case)]
+    others = [why for g in m["goals"] if (why := _why(g, case))]
     own = own_contacts(episode.log)
     standing_still = case.world.movers and not own
     # Without a map nobody can know of what is too low for the lidar: counted, but apart.
@@ -138,7 +137,7 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
         "success": int(not others and not touched and not unseen),
         "reached": len(reached),
         "goals": len(m["goals"]),
-        "reasons": "; ".join([*(_why(g) for g in others), *["saw too little of the floor"] * unseen]),
+        "reasons": "; ".join([*others, *["saw too little of the floor"] * unseen]),
         "visible": m["collisions"]["visible"],
         "low": m["collisions"]["low"],
         "own_speed": own,
@@ -162,13 +161,6 @@ def about(scenario: str, seed: int) -> Row:
     return {"scenario": scenario, "seed": seed, "replay": replay, "goals": 1, "reasons": ""} | nothing
 
 
-def _truly_there(goal: dict[str, Any], case: Trial) -> bool:
-    """Whether a goal that counts as reached is so by the truth."""
-    if goal["status"] != "reached":
-        return True
-    return bool(goal["error_m"] <= case.within[0] and goal["error_rad"] <= case.within[1])
-
-
 def own_contacts(log: RunLog) -> int:
     """Contact episodes that began while the wheels moved the robot."""
     episodes = collision_episodes(log.t_ns, log.contact_visible | log.contact_low)
@@ -181,10 +173,13 @@ def own_contacts(log: RunLog) -> int:
     return count
 
 
-def _why(goal: dict[str, Any]) -> str:
-    if goal["status"] == "reached":
-        return f"reached, but truly {goal['error_m']:.2f} m and {goal['error_rad']:.2f} rad off"
-    return f"{goal['status']} {goal.get('reason', '')}".strip()
+def _why(goal: GoalMetrics, case: Trial) -> str:
+    """Why a goal did not end as wanted, by the truth; empty when it did."""
+    if goal["status"] != "reached":
+        return "" if goal["status"] == case.wanted else f"{goal['status']} {goal.get('reason', '')}".strip()
+    off_m, off_rad = goal["error_m"], goal["error_rad"]
+    there = case.wanted == "reached" and off_m <= case.within[0] and off_rad <= case.within[1]
+    return "" if there else f"reached, but truly {off_m:.2f} m and {off_rad:.2f} rad off"
 
 
 def summary(name: str, rows: Sequence[Row]) -> Row:
@@ -247,20 +242,9 @@ def suites(args: Namespace) -> dict[str, Suite]:
     for name, scenario in known(args).items():
         count = args.limit or (scenario.short if args.quick else scenario.count)
         seeds = range(args.first, args.first + count)
-        cases = [
-            Case(f"{name} {seed}", partial(episode_row, scenario, seed), about(name, seed)) for seed in seeds
-        ]
-        usual = scenario.sensors == args.sensors
-        found[name] = Suite(cases, quick=count, usual=usual, show=False)
+        cases = [Case(f"{name} {k}", partial(episode_row, scenario, k), about(name, k)) for k in seeds]
+        found[name] = Suite(cases, quick=count, usual=scenario.sensors == args.sensors, show=False)
     return found
-
-
-def replay(args: Namespace, scenario: Scenario) -> int:
-    """One episode again, with everything that a run leaves."""
-    trial = scenario.trial(args.replay)
-    return navigate(
-        trial.world, trial.robot, trial.request, Output(args.out, force=True), config=trial.config
-    )
 
 
 def main() -> None:
@@ -277,7 +261,8 @@ def main() -> None:
         if args.sensors == "clean" and named[name].sensors != "clean":
             parser.error(f"{name!r} has realistic sensors, its clean ones are {f'{name}, clean'!r}")
     if args.replay is not None:
-        raise SystemExit(replay(args, named[args.suites[0]]))
+        again, out = named[args.suites[0]].trial(args.replay), Output(args.out, force=True)
+        raise SystemExit(navigate(again.world, again.robot, again.request, out, config=again.config))
     run(args, suites)
     rows = {name: Rows(rows_file(args.out, name), keep=True).all for name in named}
     write(args.out, "navigate", [summary(name, part) for name, part in rows.items() if part])

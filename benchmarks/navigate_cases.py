@@ -63,7 +63,6 @@ class Trial:
     truly be; `seen` is the share of the floor that must have been looked at in the end.
     """
 
-    name: str
     world: World
     robot: RobotSpec
     request: Request
@@ -117,18 +116,18 @@ def pose_on(grid: OccupancyGrid, cells: np.ndarray, rng: np.random.Generator) ->
 
 
 def goal_case(
-    name: str, seed: int, world: World, robot: RobotSpec, path: Path, start: SE2, goal: SE2, **more: Any
+    seed: int, world: World, robot: RobotSpec, path: Path, start: SE2, goal: SE2, **more: Any
 ) -> Trial:
     """From a start that the robot is told to a goal on a map, with five minutes for it."""
     request = Request("goal", seed, path, initial_pose="start", start=start, goal=goal, timeout_s=300.0)
-    return Trial(name, world, robot, request, **more)
+    return Trial(world, robot, request, **more)
 
 
 def patrol(maps: Maps, name: str, seed: int) -> Trial:
     """The tutorial's patrol on a map made by SLAM."""
     world, robot = load_world(ARENA), load_robot("burger")
     path = maps.slam(ARENA, "burger")
-    return Trial(name, world, robot, Request("patrol", seed, path, initial_pose="start"))
+    return Trial(world, robot, Request("patrol", seed, path, initial_pose="start"))
 
 
 def house_robot(seed: int) -> str:
@@ -148,7 +147,7 @@ def random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Tri
     loaded, spec, grid, cells = named_floor(world, robot)
     rng, path = stream(seed, name), maps.slam(world, robot)
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
-    return goal_case(name, seed, loaded, spec, path, start, goal)
+    return goal_case(seed, loaded, spec, path, start, goal)
 
 
 def avoid(mode: str, duration: float, name: str, seed: int) -> Trial:
@@ -157,7 +156,7 @@ def avoid(mode: str, duration: float, name: str, seed: int) -> Trial:
     config = NavigateConfig(avoid=AvoidConfig(mode="tutorial" if mode == "tutorial" else "guarded"))
     start = pose_on(grid, cells, stream(seed, "avoid"))
     request = Request(task="avoid", seed=seed, start=start, duration_s=duration)
-    return Trial(name, world, robot, request, config)
+    return Trial(world, robot, request, config)
 
 
 def explore(duration: float, name: str, seed: int) -> Trial:
@@ -167,7 +166,7 @@ def explore(duration: float, name: str, seed: int) -> Trial:
     world, robot, grid, cells = named_floor(worlds[seed % 4], ("burger", "waffle_pi")[seed // 4 % 2])
     start = pose_on(grid, cells, stream(seed, name))
     request = Request(task="explore", seed=seed, start=start, duration_s=duration)
-    return Trial(name, world, robot, request, seen=0.95)
+    return Trial(world, robot, request, seen=0.95)
 
 
 def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Trial:
@@ -183,7 +182,7 @@ def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Trial:
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
     while min(np.linalg.norm(mover.path[0] - start.xy) for mover in movers) < APART_M:
         start = pose_on(grid, cells, rng)
-    return goal_case(name, seed, world, robot, maps.slam(HOUSE, robot.name), start, goal)
+    return goal_case(seed, world, robot, maps.slam(HOUSE, robot.name), start, goal)
 
 
 def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) -> Trial:
@@ -192,7 +191,7 @@ def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) ->
     rng = stream(seed, f"controllers {place}")
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
     path, config = maps.true(place, grid), CONTROLLERS[controller]
-    return goal_case(name, seed, world, robot, path, start, goal, config=config)
+    return goal_case(seed, world, robot, path, start, goal, config=config)
 
 
 def barn_worlds() -> list[Path]:
@@ -217,7 +216,7 @@ def barn(worlds: list[Path], name: str, seed: int) -> Trial:
     request = Request(task="goal", seed=seed, start=start, goal=goal, timeout_s=100.0)
     world = dataclasses.replace(load_world(str(path)), name=path.stem)
     score = _barn_score(best)
-    return Trial(name, world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
+    return Trial(world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
 
 
 def _barn_score(best: float) -> Callable[[dict], float]:
@@ -314,7 +313,7 @@ def closed_door(maps: Maps, name: str, seed: int) -> Trial:
     room = inside[np.hypot(*(grid.center_of(inside) - (x, y)).T) > 1.0]
     start, goal = pose_on(grid, outside, rng), pose_on(grid, room, rng)
     path = maps.slam(HOUSE, spec.name)
-    return goal_case(name, seed, shut, spec, path, start, goal, wanted="unreachable")
+    return goal_case(seed, shut, spec, path, start, goal, wanted="unreachable")
 
 
 def with_solid(world: World, solid: Solid) -> World:
