@@ -129,8 +129,8 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
     unknown = case.request.task in ("avoid", "explore")
     counted = m["collisions"]["visible"] + (0 if unknown else m["collisions"]["low"])
     touched = counted > 0 and not standing_still
-    area = m.get("area", {"share": None, "seen_m2": None})
-    unseen = area["share"] is not None and area["share"] < case.seen
+    seen = m["area"]["share"] if "area" in m else None
+    unseen = seen is not None and seen < case.seen
     return {
         "world": case.world.name,
         "robot": case.robot.name,
@@ -144,10 +144,8 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
         "worst_error_m": max((g["error_m"] for g in reached), default=None),
         "worst_error_rad": max((g["error_rad"] for g in reached), default=None),
         "min_clearance_m": m["min_clearance_m"],
-        "localisation_rmse_m": (m["localisation_error_m"] or {}).get("rmse"),
         "distance_m": m["distance_m"],
-        "seen_m2": area["seen_m2"],
-        "seen_share": area["share"],
+        "seen_share": seen,
         "time_s": m["time_s"],
         "score": None if case.score is None else case.score(m),
         "x_real_time": round(m["time_s"] / max(cpu_s, 1e-9), 1),

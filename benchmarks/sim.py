@@ -1,10 +1,9 @@
-"""Simulated seconds per second of `record`, for each world and robot, and where the time goes.
+"""Simulated seconds per second of `record`, for each world and robot.
 
 python -m benchmarks.sim [--quick] [--sensors SET ...] [--out DIR]
 
 CPU time of the process is what counts (a shared machine's wall clock says little); the drive is a
-planned tour, cut off after a while. `rays` is the lidar, `bag` the writing, `physics` Bullet, the
-rest is odometry, IMU, contacts, the driver and Python between them.
+planned tour, cut off after a while.
 """
 
 from __future__ import annotations
@@ -12,17 +11,12 @@ from __future__ import annotations
 import tempfile
 import time
 from argparse import Namespace
-from collections import Counter
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import get_args
-from unittest.mock import patch
 
 from benchmarks.runner import Row, Suite, every, options, parsed, run
 from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.sim.lidar import Lidar
-from turtlebag.sim.physics import Physics
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
 from turtlebag.sim.teleop_scripts import commands, load_script
@@ -32,10 +26,6 @@ CASES = (
     ("turtlebot3_world", "burger"), ("turtlebot3_world", "waffle_pi"), ("turtlebot3_house", "burger"),
     ("turtlebot3_house", "waffle_pi"), ("maze:1", "burger"), ("office:1", "burger"), ("forest:1", "burger"),
     ("forest:1", "jackal"), ("empty", "burger"),
-)  # fmt: skip
-PARTS = (
-    (Physics, "step", "physics"), (Lidar, "measure", "rays"), (BagWriter, "observation", "bag"),
-    (BagWriter, "truth", "bag"), (BagWriter, "command", "bag"),
 )  # fmt: skip
 
 
@@ -65,39 +55,12 @@ def drive(world_name: str, robot_name: str, sensors: Sensors, duration: float) -
     return observation.stamp_ns * 1e-9, spent
 
 
-def shares(world: str, robot: str, sensors: Sensors, duration: float) -> Row:
-    """Per cent of the CPU time that each part takes, in a drive with clocks in it."""
-    spent: Counter[str] = Counter()
-
-    def clocked(owner: type, method: str, part: str):
-        inner = getattr(owner, method)
-
-        def timed(*args, **kwargs):
-            start = time.process_time()
-            try:
-                return inner(*args, **kwargs)
-            finally:
-                spent[part] += time.process_time() - start
-
-        return patch.object(owner, method, timed)
-
-    with ExitStack() as clocks:
-        for part in PARTS:
-            clocks.enter_context(clocked(*part))
-        _, total = drive(world, robot, sensors, duration)
-    found = {part: 100.0 * spent[part] / total for part in ("physics", "rays", "bag")}
-    found["rest"] = 100.0 - sum(found.values())
-    return {f"{part}_%": round(share) for part, share in found.items()}
-
-
 def measure(world: str, robot: str, sensors: Sensors, duration: float, repeats: int) -> Row:
-    """One row of the table: the fastest of some repeats, and the shares."""
+    """One row of the table: the fastest of some repeats."""
     drive(world, robot, sensors, 2.0)  # compile first
     drives = [drive(world, robot, sensors, duration) for _ in range(repeats)]
     speed = max(simulated / spent for simulated, spent in drives)
-    return {"simulated_s": round(drives[0][0], 1), "x_real_time": round(speed, 1)} | shares(
-        world, robot, sensors, duration
-    )
+    return {"simulated_s": round(drives[0][0], 1), "x_real_time": round(speed, 1)}
 
 
 def suites(args: Namespace) -> dict[str, Suite]:
