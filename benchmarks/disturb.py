@@ -26,14 +26,6 @@ def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:
     return log.around(log.places(1, rng), share * log.recording.duration())
 
 
-# Scans lost.
-
-
-def gaps(log: Known, centres: list[int], seconds: float) -> Known:
-    """Scans lost in a stretch about each centre."""
-    return log.with_scans(~log.around(centres, seconds))
-
-
 def carried(log: Known, rng: np.random.Generator) -> Known:
     """A robot that is carried for a tenth of the log: no scans meanwhile, and wheels that stand still."""
     away = stretch(log, 0.1, rng)
@@ -216,8 +208,8 @@ def reverse(log: Known, rng: np.random.Generator) -> Known:
 
 
 MODES: dict[str, Mode] = {
-    "gap3": lambda log, rng: gaps(log, log.places(5), 3.0),
-    "gap20": lambda log, rng: gaps(log, log.places(3, rng), 20.0),
+    "gap3": lambda log, rng: log.with_scans(~log.around(log.places(5), 3.0)),
+    "gap20": lambda log, rng: log.with_scans(~log.around(log.places(3, rng), 20.0)),
     "half": lambda log, rng: log.with_scans(slice(None, None, 2)),
     "third": lambda log, rng: log.with_scans(slice(None, None, 3)),
     "bias": bias,

@@ -255,15 +255,11 @@ def mishap_row(log: str, lidar: str, pictures: Path) -> Row:
 
 def mishap_cases(out: Path) -> list[Case]:
     """Every log of MADE with every lidar; a burger's sees no farther than 3.5 m anyway."""
-    pairs = [
-        {"log": log, "lidar": lidar}
+    return [
+        Case(f"{log}, {lidar}", partial(mishap_row, log, lidar, out), {"log": log, "lidar": lidar})
         for log in MADE
         for lidar in LIDARS
         if lidar != "3.5 m" or MADE[log][0] not in BARE
-    ]
-    return [
-        Case("{log}, {lidar}".format(**pair), partial(mishap_row, pictures=out, **pair), pair)
-        for pair in pairs
     ]
 
 

@@ -50,12 +50,11 @@ def there(logs: Sequence[str]) -> list[str]:
 
 def ablation_cases(variants: Iterable[str] = ABLATIONS, logs: Sequence[str] = ABLATED) -> list[Case]:
     """Every variant on every log there is."""
-    cases = []
-    for variant in variants:
-        for log in there(logs):
-            measure = partial(log_row, log, ABLATIONS[variant])
-            cases.append(Case(f"{log}, {variant}", measure, {"log": log, "variant": variant}))
-    return cases
+    return [
+        Case(f"{log}, {v}", partial(log_row, log, ABLATIONS[v]), {"log": log, "variant": v})
+        for v in variants
+        for log in there(logs)
+    ]
 
 
 def ablation_table(rows: list[Row]) -> list[Row]:
@@ -107,10 +106,9 @@ def number_cases() -> list[Case]:
     for log in there(LOGS_OF_NUMBERS):
         for name in NUMBERS:
             for factor in FACTORS if name == next(iter(NUMBERS)) else FACTORS[1:]:
-                number = name if factor != 1.0 else "as it is"
-                about = {"log": log, "number": number, "factor": factor}
+                about = {"log": log, "number": name if factor != 1.0 else "as it is", "factor": factor}
                 measure = partial(number_row, log, name, factor)
-                cases.append(Case(f"{log}, {number}, {factor}", measure, about))
+                cases.append(Case(", ".join(map(str, about.values())), measure, about))
     return cases
 
 
