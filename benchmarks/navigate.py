@@ -6,7 +6,7 @@ python -m benchmarks.navigate SCENARIO --replay SEED --out DIR
 Collisions are Bullet's contacts, errors are against the truth. Every map is made by our own SLAM from a
 recorded tour, but for the controllers side by side, which drive on the true ones. Sensors are the simulator's
 `realistic` ones, on the tour and in the episodes; `--sensors clean` runs the same episodes with its clean
-ones, as scenarios "patrol, clean" and so on. Started again with the same --out, a campaign goes on where it
+ones; rows and tables lie in a folder of each. Started again with the same --out, a campaign goes on where it
 was (delete its folder `rows` to start anew). `--from` runs other seeds; `--replay` drives one episode again
 and keeps its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
 """
@@ -38,7 +38,6 @@ from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.reports.metrics.navigation import GoalMetrics, collision_episodes
 from turtlebag.sim.simulator import Sensors, Simulator
 
-SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 AVOID_S, QUICK_AVOID_S = 600.0, 120.0
 EXPLORE_S = 1800.0
 MOVING_M, MOVING_RAD = 0.002, 0.01
@@ -55,18 +54,13 @@ class Scenario:
     make: Callable[[str, int], Trial]
     sensors: Sensors = "realistic"
 
-    @property
-    def full_name(self) -> str:
-        """The name, with the sensors where they are not the usual ones."""
-        return self.name if self.sensors == "realistic" else f"{self.name}, {self.sensors}"
-
     def trial(self, seed: int) -> Trial:
         """The episode of a seed; other sensors change nothing else of it."""
         return self.make(self.name, seed).simulated(sensors=self.sensors)
 
 
-def scenarios(maps: Maps, quick: bool, sensors: Sensors = "realistic") -> list[Scenario]:
-    """All scenarios."""
+def scenarios(maps: Maps, quick: bool, sensors: Sensors = "realistic") -> dict[str, Scenario]:
+    """All scenarios by name."""
 
     def of(name: str, count: int, short: int, make: Callable[..., Trial], *about: Any) -> Scenario:
         return Scenario(name, count, short, partial(make, *about), sensors)
@@ -98,7 +92,7 @@ def scenarios(maps: Maps, quick: bool, sensors: Sensors = "realistic") -> list[S
     found.append(of("closed door, house", 50, 2, trials.closed_door, maps))
     if worlds := trials.barn_worlds():
         found.append(of("BARN", 3 * len(worlds), len(worlds), trials.barn, worlds))
-    return found
+    return {scenario.name: scenario for scenario in found}
 
 
 def episode_row(scenario: Scenario, seed: int) -> Row:
@@ -152,11 +146,11 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
     }
 
 
-def about(scenario: str, seed: int) -> Row:
+def about(scenario: Scenario, seed: int) -> Row:
     """Which episode it is, how to see it again, and what it comes to when nothing comes of it."""
-    replay = f'python -m benchmarks.navigate "{scenario}" --replay {seed}'
+    replay = f'python -m benchmarks.navigate "{scenario.name}" --sensors {scenario.sensors} --replay {seed}'
     nothing = dict.fromkeys(("success", "reached", "visible", "low", "own_speed", "distance_m"), 0)
-    return {"scenario": scenario, "seed": seed, "replay": replay, "goals": 1, "reasons": ""} | nothing
+    return {"scenario": scenario.name, "seed": seed, "replay": replay, "goals": 1, "reasons": ""} | nothing
 
 
 def own_contacts(log: RunLog) -> int:
@@ -229,9 +223,8 @@ def failures(rows: Sequence[Row]) -> list[str]:
 
 
 def known(args: Namespace) -> dict[str, Scenario]:
-    """Every scenario by its full name."""
-    sets = [scenarios(Maps(args.maps, sensors), args.quick, sensors) for sensors in SENSORS]
-    return {scenario.full_name: scenario for one in sets for scenario in one}
+    """Every scenario with the sensors asked for."""
+    return scenarios(Maps(args.maps, args.sensors), args.quick, args.sensors)
 
 
 def suites(args: Namespace) -> dict[str, Suite]:
@@ -240,27 +233,25 @@ def suites(args: Namespace) -> dict[str, Suite]:
     for name, scenario in known(args).items():
         count = args.limit or (scenario.short if args.quick else scenario.count)
         seeds = range(args.first, args.first + count)
-        cases = [Case(f"{name} {k}", partial(episode_row, scenario, k), about(name, k)) for k in seeds]
-        found[name] = Suite(cases, quick=count, usual=scenario.sensors == args.sensors, show=False)
+        cases = [Case(f"{name} {k}", partial(episode_row, scenario, k), about(scenario, k)) for k in seeds]
+        found[name] = Suite(cases, quick=count, show=False)
     return found
 
 
 def main() -> None:
     """Drive what has no row yet, and print the table of all rows that there are."""
     parser = options(__doc__, "data/benchmarks/navigate", quick="a few short episodes of each")
-    parser.add_argument("--sensors", choices=SENSORS, default="realistic", help="which set, if none is named")
+    parser.add_argument("--sensors", choices=get_args(Sensors), default="realistic")
     parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED", help="first seed")
     parser.add_argument("--replay", type=int, metavar="SEED", help="one episode again, with all it leaves")
     kept = Path("data/benchmarks/maps")
     parser.add_argument("--maps", type=Path, default=kept, metavar="DIR", help="folder that keeps the maps")
     args = parsed(parser, suites)
     named = known(args)
-    for name in args.suites:
-        if args.sensors == "clean" and named[name].sensors != "clean":
-            parser.error(f"{name!r} has realistic sensors, its clean ones are {f'{name}, clean'!r}")
     if args.replay is not None:
         again, out = named[args.suites[0]].trial(args.replay), Output(args.out, force=True)
         raise SystemExit(navigate(again.world, again.robot, again.request, out, config=again.config))
+    args.out /= args.sensors
     run(args, suites)
     rows = {name: Rows(rows_file(args.out, name), keep=True).all for name in named}
     write(args.out, "navigate", [summary(name, part) for name, part in rows.items() if part])

@@ -97,8 +97,6 @@ class Suite:
     quick: int = 0
     code: tuple[str, ...] = ()
     kept: bool = True
-    usual: bool = True
-    """Whether it is meant when no suite is named."""
     show: bool = True
 
 
@@ -282,9 +280,7 @@ def parsed(
     known = suites(args)
     if wrong := [name for name in args.suites if name not in known]:
         parser.error(f"no suite {wrong[0]!r}: there are {', '.join(known)}")
-    args.suites = args.suites or [
-        name for name, s in known.items() if s.usual and (s.quick or not args.quick)
-    ]
+    args.suites = args.suites or [name for name, suite in known.items() if suite.quick or not args.quick]
     return args
 
 
