@@ -1,6 +1,6 @@
 """All bound planners on the arena, the house, an Intel map, mazes and an office, side by side.
 
-python -m benchmarks.plan [--quick] [--queries N] [--spaces SPACE ...] [--out DIR]
+python -m benchmarks.plan [--quick] [--queries N] [--out DIR]
 
 Planned is for a disc that holds the footprint (`disc`, the default), and for the footprint itself in SE(2),
 Reeds-Shepp and Dubins spaces. Length is over that of the truly shortest collision-free way of the footprint
@@ -98,11 +98,6 @@ def config_of(planner: str, space: str) -> PlanConfig:
     # FMT asks at every sample it draws, and draws them all first.
     iterations = 10000 if planner in ("FMT", "BFMT") else 4000 if space == "disc" or quick else 1000
     return PlanConfig(ompl=OmplConfig(planner=planner, space=space, iterations=iterations))
-
-
-def planners_of(space: str) -> list[str]:
-    """The bound planners that the space allows."""
-    return [planner for planner in get_args(PlannerName) if (planner, space) not in IMPOSSIBLE]
 
 
 def ask(at: Place, a: SE2, b: SE2, config: PlanConfig, seed: int) -> tuple[Plan | None, float]:
@@ -235,14 +230,14 @@ def suites(args: Namespace) -> dict[str, Suite]:
     there = [m for m in (MAPS[:2] if quick else MAPS) if m[0] != "intel" or public_log("intel")]
     plans, refusals = [], []
     for map, robot in there:
-        for space in args.spaces:
-            if space != "disc" and (map, robot) not in (POSE_MAPS[:1] if quick else POSE_MAPS):
-                continue
+        turning = SPACES if (map, robot) in (POSE_MAPS[:1] if quick else POSE_MAPS) else ()
+        for space in ("disc", *turning):
             few = ["BITstar", "RRTConnect", "PRM"] if space == "disc" else ["RRTConnect"]
+            bound = [planner for planner in get_args(PlannerName) if (planner, space) not in IMPOSSIBLE]
             count = queries if space == "disc" else 2 if quick else max(4, queries // 2)
             about = {"map": (map,), "robot": (robot,), "space": (space,), "query": range(count)}
-            planners = few if quick else planners_of(space)
-            plans += every(partial(plan_row, count=queries, out=out), **about, planner=planners)
+            measure = partial(plan_row, count=queries, out=out)
+            plans += every(measure, **about, planner=few if quick else bound)
         shut = partial(refusal_row, count=queries, out=out)
         refusals += every(shut, map=(map,), robot=(robot,), goals=REFUSED)
     by_planner = partial(table, keys=("space", "planner"))
@@ -255,7 +250,6 @@ def suites(args: Namespace) -> dict[str, Suite]:
 def main() -> None:
     parser = options(__doc__, "data/benchmarks/plan", "few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
-    parser.add_argument("--spaces", nargs="+", choices=("disc", *SPACES), default=["disc", *SPACES])
     args = parsed(parser, suites)
     rows = [row for row in run(args, suites).get("plan", []) if "error" not in row]
     if not rows:

@@ -31,23 +31,20 @@ PROPERTIES = {
 
 
 def write_log(
-    path: Path,
-    experiment: str,
-    space: str,
-    setup: str,
-    runs: Mapping[str, Sequence[Mapping[str, float]]],
+    path: Path, experiment: str, space: str, setup: str, runs: Mapping[str, Sequence[Mapping[str, float]]]
 ) -> None:
     """One experiment: `runs` of each planner are rows of solved, correct, time_ms ... clearance_m.
 
     Without host and date, so that only the times differ when it is repeated.
     """
     count = max(len(rows) for rows in runs.values())
-    lines = [f"OMPL version {version('ompl')}", f"Experiment {experiment}"]
-    lines += ["1 experiment properties", f"space TEXT = {space}"]
-    lines += ["Running on -", "Starting at -", "<<<|", setup, "|>>>"]
-    lines += [f"{SEED} is the random seed", "0 seconds per run", "0 MB per run", f"{count} runs per planner"]
-    lines += ["0 seconds spent to collect the data", "1 enum type", "|".join(("status", *STATUS))]
-    lines += [f"{len(runs)} planners"]
+    lines = [
+        f"OMPL version {version('ompl')}", f"Experiment {experiment}", "1 experiment properties",
+        f"space TEXT = {space}", "Running on -", "Starting at -", "<<<|", setup, "|>>>",
+        f"{SEED} is the random seed", "0 seconds per run", "0 MB per run", f"{count} runs per planner",
+        "0 seconds spent to collect the data", "1 enum type", "|".join(("status", *STATUS)),
+        f"{len(runs)} planners",
+    ]  # fmt: skip
     for planner, rows in runs.items():
         lines += [f"geometric_{planner}", "0 common properties", f"{len(PROPERTIES)} properties for each run"]
         lines += [f"{name} {kind}" for name, kind in PROPERTIES.items()]
@@ -57,8 +54,7 @@ def write_log(
 
 def _values(row: Mapping[str, float]) -> str:
     solved = bool(row["solved"])
-    values: list[float] = [int(solved), int(row["correct"]), 0, EXACT if solved else TIMEOUT]
-    values += [row["time_ms"] / 1e3, 0.0]
+    values = [solved, row["correct"], 0, EXACT if solved else TIMEOUT, row["time_ms"] / 1e3, 0.0]
     values += [row["length_m"], row["ratio"], row["clearance_m"]] if solved else [math.nan] * 3
     return "".join(f"{value:g}; " for value in values)
 

@@ -45,7 +45,6 @@ from turtlebag.sim.worlds import load_world
 WORLD, ROBOT = "turtlebot3_world", "burger"
 WATCHED_S, TURN_S, TURNS = 20.0, 10.0, 4
 START = [-2.0, -0.5, 0.0]
-Url = str
 
 
 class Stamped(Session):
@@ -80,7 +79,7 @@ def serve_here(world: str, map_path: Path | None, folder: Path, told: Connection
 
 
 @contextmanager
-def studio(world: str, map_path: Path | None) -> Iterator[tuple[Url, int]]:
+def studio(world: str, map_path: Path | None) -> Iterator[tuple[str, int]]:
     """A running studio: its address and process."""
     told, theirs = SPAWN.Pipe(duplex=False)
     with tempfile.TemporaryDirectory() as folder:
@@ -94,7 +93,7 @@ def studio(world: str, map_path: Path | None) -> Iterator[tuple[Url, int]]:
             process.join()
 
 
-async def joined(url: Url) -> Viewer:
+async def joined(url: str) -> Viewer:
     """A viewer that has seen a frame."""
     client = await Viewer.open(url)
     await client.until(lambda p: p.head, 120.0)
@@ -120,7 +119,7 @@ async def watched(client: Viewer, what: str, factor: float, seconds: float = WAT
     }
 
 
-async def on_patrol(url: Url, laps: int) -> Viewer:
+async def on_patrol(url: str, laps: int) -> Viewer:
     """A viewer of a robot on its map and on patrol, as fast as it goes."""
     client = await joined(url)
     client.ask("pose_estimate", pose=START)
@@ -138,7 +137,7 @@ def go_round(client: Viewer, laps: int) -> None:
     client.ask("patrol", waypoints=stops, laps=laps)
 
 
-async def patrol(url: Url) -> tuple[list[Row], Row]:
+async def patrol(url: str) -> tuple[list[Row], Row]:
     """Rows of a patrol that is watched, and its speed with and without a viewer."""
     client = await on_patrol(url, 1000)
     await client.read_for(5.0)  # what is compiled at first use
@@ -164,7 +163,7 @@ async def patrol(url: Url) -> tuple[list[Row], Row]:
     }
 
 
-async def exploring(url: Url) -> Row:
+async def exploring(url: str) -> Row:
     """A row of a map that grows while the robot explores the house."""
     client = await joined(url)
     client.ask("explore")
@@ -172,7 +171,7 @@ async def exploring(url: Url) -> Row:
     return await watched(client, "exploring the house", 1.0, 3 * WATCHED_S)
 
 
-async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
+async def memory(url: str, pid: int, minutes: float) -> list[Row]:
     """Memory of the server, ten times within some minutes of patrol as fast as it goes, with a viewer."""
     client, rows = await on_patrol(url, 1), []
     client.ask("record", name="all")
