@@ -77,13 +77,14 @@ def scenarios(maps: Maps, quick: bool, sensors: Sensors = "realistic") -> dict[s
         of("avoid tutorial", 50, 2, trials.avoid, "tutorial", avoid_s),
         of("explore", 24, 1, trials.explore, explore_s),
     ]
-    for place in PLACES:
+    for place in (*PLACES, "new worlds"):
         found += [
             of(f"pose off, {place}", 50, 2, trials.offset, maps, place),
             of(f"kidnap, {place}", 100, 2, trials.kidnap, maps, place),
             of(f"wheel slip, {place}", 50, 2, trials.slip, maps, place),
             of(f"lidar dropout, {place}", 50, 2, trials.dropout, maps, place),
         ]
+    for place in PLACES:
         found += [
             of(f"{controller}, {place}", 32, 1, trials.controlled, maps, place, controller)
             for controller in trials.CONTROLLERS

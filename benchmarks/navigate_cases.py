@@ -135,11 +135,16 @@ def house_robot(seed: int) -> str:
     return ("waffle_pi", "burger")[seed % 2]
 
 
-def new_world_goal(maps: Maps, name: str, seed: int) -> Trial:
-    """A random reachable start and goal in an office or a maze that is used for a few goals only."""
+def new_world(seed: int) -> tuple[str, str]:
+    """An office or a maze that is used for a few goals only, and the robot in it."""
     number = seed // GOALS_PER_WORLD
     world = f"{('office', 'maze')[number % 2]}:{NEW_WORLDS_FROM + number}"
-    return random_goal(maps, world, ("burger", "waffle_pi")[number // 2 % 2], name, seed)
+    return world, ("burger", "waffle_pi")[number // 2 % 2]
+
+
+def new_world_goal(maps: Maps, name: str, seed: int) -> Trial:
+    """A random reachable start and goal in a world that is used for a few goals only."""
+    return random_goal(maps, *new_world(seed), name, seed)
 
 
 def random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Trial:
@@ -229,15 +234,17 @@ def _barn_score(best: float) -> Callable[[dict], float]:
     return score
 
 
-# Something goes wrong, in the arena (burger, the patrol) or the house (waffle_pi and burger in turn, a goal).
+# Something goes wrong: in the arena (burger, the patrol), in the house (waffle_pi and burger in turn, a goal)
+# or in a new world (a goal).
 
 
 def drive_to(maps: Maps, place: str, name: str, seed: int) -> Trial:
-    """What is done while the fault happens: the patrol in the arena, a far goal in the house."""
+    """What is done while the fault happens: the patrol in the arena, a far goal elsewhere."""
     if place == "arena":
         return patrol(maps, name, seed)
+    world, robot = (HOUSE, house_robot(seed)) if place == "house" else new_world(seed)
     for attempt in range(1000):
-        case = random_goal(maps, HOUSE, house_robot(seed), name, seed + 100_000 * attempt)
+        case = random_goal(maps, world, robot, name, seed + 100_000 * attempt)
         assert case.request.goal is not None
         if np.linalg.norm(case.start.xy - case.request.goal.xy) > FAR_M:
             return case.asked(seed=seed)
