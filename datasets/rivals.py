@@ -42,7 +42,7 @@ def kind_of(path: Path) -> str:
 def require_name(name: str) -> None:
     """InputError for what is no name of a system."""
     if not NAME.fullmatch(name):
-        raise InputError(f"{name}: names of other systems may have only letters, digits, - and _")
+        raise InputError(f"{name!r}: the name of another system has only letters, digits, - and _")
 
 
 @pydantic_dataclass(frozen=True)

@@ -25,17 +25,24 @@ KINDS = {
 """Messages for values of the wrong type, without names of Python classes."""
 
 
-def read_mapping(path: Path) -> dict[str, Any]:
-    """Read a YAML file with a mapping; InputError for anything else."""
+def read_yaml(path: Path, *, where: str) -> Any:
+    """A YAML file as plain values; an InputError starts with `where`."""
+    if path.is_dir():
+        raise InputError(f"{where}: is a folder; give a file")
     if not path.is_file():
-        raise InputError(f"{path}: no such file")
+        raise InputError(f"{where}: no such file")
     try:
         text = path.read_text()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
+        raise InputError(f"{where}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
-    data = parsed(text, where=str(path))
+        raise InputError(f"{where}: not a text file") from None
+    return parsed(text, where=where)
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """Read a YAML file with a mapping; InputError for anything else."""
+    data = read_yaml(path, where=str(path))
     if data is None:
         raise InputError(f"{path}: the file is empty")
     if not isinstance(data, dict):
@@ -123,7 +130,8 @@ def find_named(name_or_path: str, folder: Path, kind: str) -> Path:
         return path
     path = folder / f"{name_or_path}.yaml"
     if not path.is_file():
-        raise InputError(f"unknown {kind} '{name_or_path}': known are {', '.join(known_names(folder))}")
+        known = ", ".join([*known_names(folder), "a .yaml file"])
+        raise InputError(f"unknown {kind} '{name_or_path}': known are {known}")
     return path
 
 

@@ -102,9 +102,18 @@ def _as_ros1(topic: Topic) -> tuple[str, str, Callable[[bytes], bytes]]:
 
 
 def _copied(bag: Bag, copier: Copier, exclude: Collection[str]) -> tuple[int, list[str]]:
-    """Copy every message of the topics that are kept."""
-    for message in bag.messages(lambda topic: topic.name not in exclude):
+    """Copy every message of the topics that are kept; InputError for one to leave out that is not there."""
+    names: set[str] = set()
+
+    def kept(topic: Topic) -> bool:
+        names.add(topic.name)
+        return topic.name not in exclude
+
+    for message in bag.messages(kept):
         copier.write(message)
+    for name in exclude:
+        if names and name not in names:
+            raise InputError(f"--exclude {name}: no such topic; {bag.path} has {', '.join(sorted(names))}")
     return copier.count, [*bag.notes, *copier.notes()]
 
 

@@ -159,6 +159,16 @@ def pose(text: str, option: str) -> SE2:
     return SE2.from_xyt(*values)
 
 
+def initial_pose(text: str | None, *words: str) -> Any:
+    """The pose of --initial-pose, or one of the words that may stand for it; None where it was not given."""
+    if text is None or text in words:
+        return text
+    try:
+        return pose(text, "--initial-pose")
+    except InputError as error:
+        raise InputError(f"{error}; or {' or '.join(words)}") from None
+
+
 def add_laser(parser: argparse.ArgumentParser, source: str) -> None:
     """--laser, which overrides what the argument `source` says."""
     text = f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}"

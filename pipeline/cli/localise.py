@@ -11,10 +11,10 @@ from turtlebag.pipeline.cli.arguments import (
     add_map,
     add_output,
     add_seed,
+    initial_pose,
     laser,
     option,
     output,
-    pose,
 )
 
 EXAMPLE = (
@@ -40,14 +40,11 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.localise import load_localise_config, localise
     from turtlebag.pipeline.stages.sources import Source
 
-    initial = args.initial_pose
-    if initial is not None and initial != "global":
-        initial = pose(initial, "--initial-pose")
     return localise(
         Source(args.bag, *laser(args.laser)),
         args.map,
         output(args),
-        initial_pose=initial,
+        initial_pose=initial_pose(args.initial_pose, "global"),
         truth=args.truth,
         config=load_localise_config(args.config, args.settings),
         seed=args.seed,

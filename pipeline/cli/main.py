@@ -11,8 +11,9 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import signatures
@@ -48,6 +49,15 @@ EXIT_OK, EXIT_INPUT = 0, 2
 
 class _Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and exit code 2."""
+
+    def parse_known_args(self, *words: Any, **more: Any) -> tuple[Any, list[str]]:
+        """As argparse's, but the verb's parser tells what it does not know: it has options to suggest."""
+        found, unknown = super().parse_known_args(*words, **more)
+        if unknown:
+            near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
+            meant = f"; did you mean {near[0]}?" if near else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+        return found, unknown
 
     def error(self, message: str) -> NoReturn:
         where = self.prog.removeprefix("turtlebag").strip()

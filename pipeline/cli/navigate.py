@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import Literal
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.cli.arguments import (
     OrOwn,
     add_config,
@@ -16,6 +15,7 @@ from turtlebag.pipeline.cli.arguments import (
     add_output,
     add_world,
     flag,
+    initial_pose,
     option,
     output,
     pose,
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         map_path=args.map,
         start=start_of(args),
-        initial_pose=_initial_pose(args.initial_pose),
+        initial_pose=initial_pose(args.initial_pose, "start", "global"),
         goal=None if args.goal is None else pose(args.goal, "--goal"),
         waypoints_path=args.waypoints,
         laps=args.laps,
@@ -126,15 +126,6 @@ def _refuse_unused(args: argparse.Namespace) -> None:
             raise InputError(f"{option}: not for --task {args.task}, only for {takers}; remove it")
         if args.task == "goal" and args.map is None and name in ON_A_MAP:
             raise InputError(f"{option}: needs a map; give --map or remove it")
-
-
-def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
-    if text is None or text in ("start", "global"):
-        return text  # type: ignore[return-value]
-    try:
-        return pose(text, "--initial-pose")
-    except InputError as error:
-        raise InputError(f"{error}; or the words start or global") from None
 
 
 def _keepout(text: str | None) -> tuple[Array, ...] | None:

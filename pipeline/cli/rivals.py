@@ -69,6 +69,8 @@ def _named(word: str) -> tuple[str, Path]:
     if not equals or Path(word).exists():
         path = Path(word)
         return re.sub(r"^[^A-Za-z0-9]+|[^A-Za-z0-9_+-]+", "-", path.stem).strip("-") or "rival", path
+    if not file:
+        raise InputError(f"{word}: names no file; write NAME=FILE")
     return name, Path(file)
 
 

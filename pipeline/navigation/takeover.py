@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import yaml
 from pydantic import Field, model_validator
@@ -18,7 +18,7 @@ from turtlebag.datasets.durations import LONGEST_S, nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, RobotModel, Twist
-from turtlebag.datasets.yaml_files import checked, parsed
+from turtlebag.datasets.yaml_files import checked, read_yaml
 from turtlebag.pipeline.navigation.driver import Task, require_task
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor
@@ -84,10 +84,7 @@ class Script:
 def load_script(path: Path) -> tuple[Interval, ...]:
     """The intervals of a takeover file (a YAML list of them); InputError names what is wrong."""
     where = f"--takeover {path}"
-    try:
-        data: Any = parsed(path.read_text(), where=where)
-    except (OSError, UnicodeDecodeError):
-        raise InputError(f"{where}: no such file, or not a text file") from None
+    data = read_yaml(path, where=where)
     if not isinstance(data, list):
         raise InputError(f"{where}: expected a list of intervals with begin, end, v and w")
     return checked(TakeoverConfig, {"script": data}, where=where).script

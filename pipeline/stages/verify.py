@@ -76,6 +76,8 @@ def stage_folders(report: Path) -> list[Path]:
 
 
 def _file(folder: Path, name: str) -> Path:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder (expected a report)")
     if not (folder / name).is_file():
         raise InputError(f"{folder}: has no {name}, so it is not a report")
     return folder / name

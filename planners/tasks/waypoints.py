@@ -13,7 +13,7 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import parsed, read_mapping
+from turtlebag.datasets.yaml_files import parsed, read_mapping, read_yaml
 
 KEYS = {"waypoints", "keepout"}
 MOST_WAIT_S = 3600.0
@@ -50,14 +50,8 @@ def tutorial_patrol() -> WaypointFile:
 
 def load_waypoints(path: Path) -> WaypointFile:
     """Read a waypoints YAML; a bad entry becomes a Waypoint with a reason, a bad file an InputError."""
-    if not path.is_file():
-        raise InputError(f"--waypoints {path}: no such file")
     where = f"--waypoints {path}"
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError):
-        raise InputError(f"{where}: cannot be read as text") from None
-    return parse_waypoints(parsed(text, where=where), where)
+    return parse_waypoints(read_yaml(path, where=where), where)
 
 
 def parse_waypoints(data: Any, where: str) -> WaypointFile:

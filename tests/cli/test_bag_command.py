@@ -88,6 +88,13 @@ def test_convert_does_not_make_a_folder_named_as_a_packed_bag(drive, tmp_path, c
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("out", ["lost", "lost.bag"])
+def test_a_topic_to_leave_out_must_be_there(drive, tmp_path, capsys, out):
+    assert main(["bag", "convert", str(drive), "--exclude", "/tf_statik", "--out", str(tmp_path / out)]) == 2
+    assert "--exclude /tf_statik: no such topic; " in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
 def test_info_of_a_carmen_log(tmp_path, capsys):
     line = "FLASER 180 " + "1.00 " * 180 + "0 0 0 0 0 0 {}.5 nohost 0\n"
     (tmp_path / "a.log").write_text("".join(line.format(k) for k in range(4)))

@@ -90,6 +90,11 @@ def test_a_wrong_file_names_itself(tmp_path, text, message):
     assert str(path) in str(caught.value)
 
 
+def test_a_folder_in_place_of_a_file_is_told(tmp_path):
+    with pytest.raises(InputError, match=r": is a folder; give a file$"):
+        load_config(Outer, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("setting", "message"),
     [

@@ -26,6 +26,8 @@ def tree(tmp_path_factory):
         (["a=2.tum"], "2.tum: too few poses to compare (2; at least 3 are needed)"),
         (["a=map"], "map: is a folder; give the file of the trajectory in it"),
         (["a=5.tum", "--rival-times", "map"], "map: is a folder; give the file of the times in it"),
+        (["a="], "a=: names no file; write NAME=FILE"),
+        (["=5.tum"], "'': the name of another system has only letters, digits, - and _"),
         (["truth=5.tum"], "truth: this name is taken"),
         (["truth.tum"], "truth: this name is taken"),
         (["TurtleBag.tum"], "TurtleBag: this name is taken"),

@@ -38,6 +38,19 @@ def test_a_usage_error_is_one_line_that_begins_once_with_the_program(capsys, wor
     assert not error.startswith("turtlebag: turtlebag")
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--sed", "1"], "unrecognized arguments: --sed 1; did you mean --seed?"),
+        (["--sed=1"], "unrecognized arguments: --sed=1; did you mean --seed?"),
+        (["--qqq"], "unrecognized arguments: --qqq"),
+    ],
+)
+def test_an_unknown_option_is_told_by_its_verb_with_the_nearest_one(capsys, words, said):
+    assert main(["record", "--world", "empty", "--out", "x", *words]) == 2
+    assert capsys.readouterr().err == f"turtlebag: record: {said} (see turtlebag record --help)\n"
+
+
 def test_the_version_is_told(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])

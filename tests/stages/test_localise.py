@@ -157,6 +157,7 @@ def test_without_an_initial_pose_it_is_rejected_with_complete_outputs(room_log, 
     ("more", "words"),
     [
         (["--initial-pose=2,2"], "expected three numbers"),
+        (["--initial-pose=start"], "expected X,Y,YAW (metres and radians); or global"),
         (["--initial-pose=2,2,nan"], "not a finite number"),
         (["--initial-pose=40,3,0"], "--initial-pose 40,3,0: is off the map "),
         (["--initial-pose=2,2,0", "--set", "amcl.min_particles=0"], "min_particles"),

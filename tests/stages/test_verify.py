@@ -192,6 +192,8 @@ def test_what_is_no_report_is_refused(tree, tmp_path, capsys):
     for folder in (tree / "map", tmp_path, tree / "gone"):
         assert main(["verify", str(folder)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+    assert main(["verify", str(tree / "gone")]) == 2
+    assert capsys.readouterr().err.endswith("gone: no such folder (expected a report)\n")
 
 
 def test_numbers_agree_up_to_the_rounding_of_files():
