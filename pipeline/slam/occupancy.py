@@ -114,13 +114,13 @@ def make_checked_grid(
     high = (T_map_lidar.xy + seen).max(axis=0) + config.margin_m
     corner = np.floor(low / resolution)
     extent = np.ceil(high / resolution) - corner
-    _require_cells(extent[::-1].tolist(), MAX_COUNTED)
+    _require_cells(extent[::-1].tolist(), MAX_COUNTED, resolution)
     cols, rows = extent.astype(int)
     knots = known_motion(recording, motion).xyt
     if rows * cols > MAX_CELLS and not knots.any():
         # most of what is counted may be cut off again: only what is surely known is too large for certain
         known = _known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution)
-        _require_cells(known, MAX_CELLS)
+        _require_cells(known, MAX_CELLS, resolution)
     counts, T_grid_base = Counts.none(rows, cols), T_map_base.xyt - np.array([*(corner * resolution), 0.0])
     seen_from = (lidar.directions, recording.T_base_lidar.xyt, knots)
     _cast(counts, resolution, (length, returned), seen_from, T_grid_base, config.occupied_share)
@@ -237,7 +237,7 @@ def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> 
     r0, r1 = max(known_rows[0] - border, 0), known_rows[-1] + border + 1
     c0, c1 = max(known_cols[0] - border, 0), known_cols[-1] + border + 1
     kept = cells[r0:r1, c0:c1].copy()
-    _require_cells(kept.shape, MAX_CELLS)
+    _require_cells(kept.shape, MAX_CELLS, config.resolution_m)
     x, y = (corner + np.array([c0, r0])) * config.resolution_m
     return OccupancyGrid(kept, config.resolution_m, SE2.from_xyt(x, y, 0.0))
 
@@ -256,12 +256,14 @@ def _known(
     return rows, cols
 
 
-def _require_cells(shape: Sequence[float], most: int) -> None:
-    """InputError for more cells than these."""
+def _require_cells(shape: Sequence[float], most: int, resolution: float) -> None:
+    """InputError for more cells than these, with a resolution [m] that leaves a tenth to spare."""
     rows, cols = shape
     if rows * cols > most:
+        fits = 1.1 * resolution * math.sqrt(rows / most * cols)
         raise InputError(
-            f"the map would have {rows:.12g} x {cols:.12g} cells; choose a larger grid.resolution_m"
+            f"the map would have {rows:.12g} x {cols:.12g} cells; choose a larger grid.resolution_m, "
+            f"{fits:.2g} m say (it is {resolution:g} m)"
         )
 
 
