@@ -210,6 +210,26 @@ def test_the_numbers_of_the_readme_are_those_of_the_results():
     assert [float(told[1]), float(told[2])] == [round(1e3 * float(dict(drives)[name]), 1) for name in worlds]
 
 
+def test_the_runs_that_the_readme_counts_are_those_of_the_results():
+    table = (ROOT / "docs/results_navigation.md").read_text()
+    runs = re.findall(r"^\| ([^|]+) \| \d+\.\.[^|]+ \| (\d+)/(\d+) \|", table, re.M)
+    counts = {name: (int(good), int(of)) for name, good, of in runs}
+    of_readme = {
+        "patrol of 8 waypoints": [["patrol, realistic sensors"]],
+        "random goals in the house": [
+            [f"house {robot}, realistic sensors" for robot in ("waffle_pi", "burger")]
+        ],
+        "goals among unmapped boxes and people": [["boxes and movers"]],
+        "kidnapped, house / arena": [["kidnap, house"], ["kidnap, arena"]],
+        "avoidance, 10 minutes": [["avoid guarded"]],
+    }
+    for row, told in of_readme.items():
+        cell = re.search(rf"^\| {row} \| \w+ \| ([^|]+)", (ROOT / "README.md").read_text(), re.M)
+        assert cell is not None, row
+        found = [(int(good), int(of)) for good, of in re.findall(r"(\d+) of (\d+)", cell[1])]
+        assert found == [tuple(map(sum, zip(*(counts[n] for n in one), strict=True))) for one in told], row
+
+
 def test_the_pictures_are_small_and_shown_and_the_animations_of_the_readme_move():
     shown = {
         (page.parent / name).resolve()
