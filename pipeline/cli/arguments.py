@@ -28,10 +28,16 @@ class OrOwn(tuple[str, ...]):
         return super().__contains__(name) or (isinstance(name, str) and is_own(name))
 
 
-def epilog(example: str) -> dict[str, Any]:
-    """What makes an argument parser end its help with an example, in one line that can be copied."""
-    raw = argparse.RawDescriptionHelpFormatter
-    return {"epilog": f"example:\n  {example}", "formatter_class": raw}
+def add_action(actions: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
+    """A verb, or an action of one; its help ends with an example, in one line that can be copied."""
+    parser: argparse.ArgumentParser = actions.add_parser(
+        name,
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}.",
+        epilog=f"example:\n  {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    return parser
 
 
 REPEATED: dict[str, Any] = {"action": "append", "default": []}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import REPEATED, add_output, epilog, option, output
+from turtlebag.pipeline.cli.arguments import REPEATED, add_action, add_output, option, output
 from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
 
 if TYPE_CHECKING:
@@ -28,8 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     def action(
         name: str, act: Callable[[argparse.Namespace], int], text: str, example: str
     ) -> argparse.ArgumentParser:
-        description = f"{text[0].upper()}{text[1:]}."
-        sub = actions.add_parser(name, help=text, description=description, **epilog(example))
+        sub = add_action(actions, name, text, example)
         option(sub, "bag", "BAG", "record folder, bag folder or bag file", Path)
         sub.set_defaults(run=act)
         return sub

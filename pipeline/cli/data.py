@@ -5,22 +5,18 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.registry import DATASETS, MIRROR_VARIABLE, Dataset, fetch
-from turtlebag.pipeline.cli.arguments import epilog, option
+from turtlebag.pipeline.cli.arguments import add_action, option
 
 EXAMPLE = "turtlebag data fetch intel"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The actions and theirs."""
-    actions = parser.add_subparsers(dest="action", metavar="list|fetch", required=True)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     text = "list the logs with their contents, licences and citations"
-    listing = actions.add_parser("list", help=text, **epilog("turtlebag data list"))
-    listing.set_defaults(run=_list)
-    fetching = actions.add_parser(
-        "fetch",
-        help=f"fetch a log from the folder {MIRROR_VARIABLE} or the network, verify it and print its paths",
-        **epilog("turtlebag data fetch intel"),
-    )
+    add_action(actions, "list", text, "turtlebag data list").set_defaults(run=_list)
+    text = f"fetch a log from the folder {MIRROR_VARIABLE} or the network, verify it and print its paths"
+    fetching = add_action(actions, "fetch", text, EXAMPLE)
     text = "name of a log, as `turtlebag data list` shows it"
     option(fetching, "names", "NAME", text, nargs="+")
     fetching.set_defaults(run=_fetch)

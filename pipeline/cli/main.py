@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import signatures
 from turtlebag.datasets.output_lock import lock_output, release_all
-from turtlebag.pipeline.cli.arguments import epilog, named_inputs
+from turtlebag.pipeline.cli.arguments import add_action, named_inputs
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
 
@@ -85,8 +85,7 @@ def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
             verbs.add_parser(name, help=summary, add_help=False)
             continue
         command = importlib.import_module(f"turtlebag.pipeline.cli.{name}")
-        told = f"{summary[0].upper()}{summary[1:]}."
-        sub = verbs.add_parser(name, help=summary, description=told, **epilog(command.EXAMPLE))
+        sub = add_action(verbs, name, summary, command.EXAMPLE)
         noise = sub.add_mutually_exclusive_group()
         quiet, verbose = ("show only results and errors", "show more detail")
         noise.add_argument(

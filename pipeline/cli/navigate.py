@@ -60,8 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "YAML file with the patrol's waypoints (default: the tutorial's)"
     option(parser, "--waypoints", "FILE", text, Path)
     option(parser, "--laps", "N", "laps of the patrol (default: 1)", _count)
-    option(parser, "--timeout", "S", "simulated seconds for each goal", _positive)
-    text = "simulated seconds: the length of avoid, or the limit for explore"
+    text = "simulated seconds for each goal (default: 60 in a patrol, 600 for --task goal)"
+    option(parser, "--timeout", "S", text, _positive)
+    text = "simulated seconds: the length of avoid (default: 60), or the limit for explore (default: 1800)"
     option(parser, "--duration", "S", text, _positive)
     text = "for --task avoid: guarded (default) uses the robot's shape; tutorial is the tutorial's rule"
     parser.add_argument("--mode", choices=("guarded", "tutorial"), help=text)

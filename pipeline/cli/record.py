@@ -22,7 +22,7 @@ EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --ou
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_world(parser, 1)
-    text = "teleop script: a name, a YAML file, or a bag whose /cmd_vel is replayed"
+    text = "teleop script: a name, a YAML file, or a bag whose /cmd_vel is replayed (default: tour)"
     option(parser, "--teleop", "SCRIPT", text, default="tour")
     add_config(parser)
     add_output(parser)

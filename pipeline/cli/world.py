@@ -5,19 +5,17 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, epilog, option
+from turtlebag.pipeline.cli.arguments import add_action, add_output, option
 
 EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     text = "list the built-in worlds, robots and teleop scripts"
-    listing = actions.add_parser("list", help=text, **epilog("turtlebag world list"))
-    listing.set_defaults(run=_list)
-    text = "draw a world as a PNG"
-    show = actions.add_parser("show", help=text, description=f"D{text[1:]}.", **epilog(EXAMPLE))
+    add_action(actions, "list", text, "turtlebag world list").set_defaults(run=_list)
+    show = add_action(actions, "show", "draw a world as a PNG", EXAMPLE)
     option(show, "world", "W", "world: a name or a YAML or SDF file")
     option(show, "--robot", "R", "robot whose lidar height is drawn (default: the world's own)")
     add_output(show, "picture to write", what="PNG")

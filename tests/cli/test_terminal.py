@@ -10,8 +10,10 @@ import pytest
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import VERBS, main
+from turtlebag.pipeline.navigation.setup import DEFAULT_DURATION_S, DEFAULT_EXPLORE_S, SINGLE_GOAL
 from turtlebag.pipeline.stages.map_summary import map_lines, tell_map
 from turtlebag.pipeline.terminal import messages as console
+from turtlebag.planners.tasks.patrol import SequenceConfig
 
 
 class Terminal(io.StringIO):
@@ -49,6 +51,15 @@ def test_a_usage_error_is_one_line_that_begins_once_with_the_program(capsys, wor
 def test_an_unknown_option_is_told_by_its_verb_with_the_nearest_one(capsys, words, said):
     assert main(["record", "--world", "empty", "--out", "x", *words]) == 2
     assert capsys.readouterr().err == f"turtlebag: record: {said} (see turtlebag record --help)\n"
+
+
+def test_the_help_of_navigate_tells_the_times_that_are_taken(capsys):
+    with pytest.raises(SystemExit):
+        main(["navigate", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"(default: {SequenceConfig().timeout:g} in a patrol, {SINGLE_GOAL['timeout']:g} for" in told
+    assert f"avoid (default: {DEFAULT_DURATION_S:g})" in told
+    assert f"explore (default: {DEFAULT_EXPLORE_S:g})" in told
 
 
 def test_the_version_is_told(capsys):
