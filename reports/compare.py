@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import shlex
@@ -117,14 +118,19 @@ def _mood(path: str, change: float) -> str:
 
 
 def changed_settings(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """(key, value in A, value in B) of every setting that is not the same."""
+    """(key, value in A, value in B) of every setting that is not the same, as --set takes it."""
     one, other = dict(leaves(a)), dict(leaves(b))
     keys = [*one, *(key for key in other if key not in one)]
     return [
-        (key, str(one.get(key, "not set")), str(other.get(key, "not set")))
+        (key, _setting(one, key), _setting(other, key))
         for key in keys
         if one.get(key) != other.get(key) or (key in one) != (key in other)
     ]
+
+
+def _setting(settings: Mapping[str, Any], key: str) -> str:
+    value = settings.get(key, "not set")
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def draw_comparison(a: Stage, b: Stage, album: Album) -> None:

@@ -118,10 +118,14 @@ def _check_report_files(report: Path, manifest: Manifest, groups: list[Group], f
     for group in groups:
         for stage in group.stages:
             name = f"{group.name}/{stage.label}"
-            then = manifest.inputs.get(name)
-            for path, digest in then.sha256.items() if then is not None else ():
-                if stage.outputs.get(path) != digest:
-                    found.problems.append(f"{name}/{path}: regenerated since the report was made")
+            if name not in manifest.inputs:
+                continue
+            then = manifest.inputs[name].sha256
+            # In the folder of a stage there may be files that it did not make.
+            others = {path: digest for path, digest in then.items() if path not in stage.outputs}
+            again = [path for path, digest in then.items() if stage.outputs.get(path, digest) != digest]
+            for path in [*again, *changed_files(stage.folder, others)]:
+                found.problems.append(f"{name}/{path}: changed since the report was made")
 
 
 def _check_stage(

@@ -84,8 +84,9 @@ def test_outputs_of_different_stages_are_not_compared(tree, capsys):
 
 
 def test_settings_missing_on_one_side_differ():
-    assert changed_settings({"a": {"b": 1}, "c": None}, {"a": {"b": 1, "d": 2}}) == [
-        ("c", "None", "not set"),
+    assert changed_settings({"a": {"b": 1}, "c": None, "e": True}, {"a": {"b": 1, "d": 2}, "e": False}) == [
+        ("c", "null", "not set"),
+        ("e", "true", "false"),
         ("a.d", "not set", "2"),
     ]
 

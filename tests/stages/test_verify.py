@@ -29,6 +29,17 @@ def original(tmp_path_factory):
     return base
 
 
+def test_a_persons_file_in_the_folder_of_a_stage_is_named_once_it_changes(tmp_path):
+    fake_map(tmp_path / "map", fake_record(tmp_path / "record"))
+    note = tmp_path / "map/note.txt"
+    note.write_text("the door was open\n")
+    with undrawn():
+        make_report([tmp_path / "record", tmp_path / "map"], Output(tmp_path / "report"), animate=False)
+    assert verify(tmp_path / "report").problems == []
+    note.write_text("it was shut\n")
+    assert verify(tmp_path / "report").problems == ["room/map/note.txt: changed since the report was made"]
+
+
 @pytest.fixture
 def tree(original, tmp_path):
     shutil.copytree(original, tmp_path / "tree")
