@@ -214,6 +214,10 @@ def print_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> No
         print("  ".join(cells).rstrip())
 
 
+PLAIN = str.maketrans({"\u202f": " ", "\u2212": "-", "\u2013": "-", "\u00b0": "deg"})
+"""Thin spaces, minus, dash and degrees, where the terminal cannot show them."""
+
+
 class Words:
     """A text stream whose trouble is noted: from then on nothing more is written to it.
 
@@ -226,8 +230,13 @@ class Words:
         self.problem: str | None = None
 
     def write(self, text: str) -> int:
-        """Write, if that still goes."""
-        self._attempt(lambda: self._stream.write(text))
+        """Write, if that still goes; a terminal of few letters gets plain ones for ours."""
+        try:
+            self._attempt(lambda: self._stream.write(text))
+        except UnicodeEncodeError:
+            letters = self._stream.encoding
+            plain = text.translate(PLAIN).encode(letters, "replace").decode(letters)
+            self._attempt(lambda: self._stream.write(plain))
         return len(text)
 
     def flush(self) -> None:

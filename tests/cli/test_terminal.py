@@ -83,6 +83,14 @@ def test_the_help_of_a_verb_has_an_example(capsys, verb):
     assert "example:\n  turtlebag " + verb in capsys.readouterr().out
 
 
+def test_a_terminal_of_few_letters_gets_plain_ones(monkeypatch):
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="ascii", newline="\n")
+    monkeypatch.setattr(sys, "stdout", shown)
+    with console.guarded_streams():
+        print("\u22120.35\u202fcm, 0.15\u202f\u00b0, caf\u00e9")
+    assert shown.buffer.getvalue() == b"-0.35 cm, 0.15 deg, caf?\n"
+
+
 def test_a_message_during_a_bar_has_its_own_line_above_it(normal):
     with redirect_stderr(Terminal()) as terminal, console.simulated_time(10.0) as clock:
         clock(4 * 10**9, "follow")
