@@ -23,6 +23,7 @@ from turtlebag.datasets.outputs import (
     sha256_text,
     sha256_tree,
 )
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
 from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Where, recipes
@@ -49,6 +50,7 @@ def sweep(
     campaign_name: str,
     out: Output,
     run: Run,
+    parsed: Callable[[list[str]], object] | None = None,
     *,
     store: str | None = None,
     scheduler: str | None = None,
@@ -57,12 +59,19 @@ def sweep(
     """Run what is left of a campaign, each command line by `run`, and write its results to `out`; 1 when
     any case failed.
 
-    Workers keep what they make in `store`, which is `out` itself where no URL is given. It grows in
-    `OUT.partial` and stays there when it is stopped: the same command goes on with it.
+    `parsed` is an InputError for a command line that `run` would not take: it is asked once for each stage,
+    before any case runs. Workers keep what they make in `store`, which is `out` itself where no URL is given.
+    It grows in `OUT.partial` and stays there when it is stopped: the same command goes on with it.
     """
     campaign = load_campaign(campaign_name)
     todo = cases(campaign)
     require_scheduler(scheduler)
+    if parsed is not None:
+        for stage, words in todo[0].commands.items():
+            try:
+                parsed([*words, "--out", "OUT"])
+            except InputError as error:
+                raise InputError(f"{campaign_name}: stages.{stage}: {error}") from None
     with lock_output(out.folder, force=out.force) as lock:
         inputs = _inputs(campaign_name, todo)
         lock.watch(inputs.values())
@@ -83,7 +92,7 @@ def sweep(
         out.finish(lock.partial, "sweep", inputs, config=text, seed=campaign.seed, extra=extra)
         lock.finish()
     failed = sum(bool(row["failed"]) for row in rows)
-    log.info(f"{out.folder}: {len(rows)} cases, {failed} failed")
+    log.info(f"{out.folder}: {counted(len(rows), 'case')}, {failed} failed")
     return int(failed > 0)
 
 

@@ -108,6 +108,12 @@ def joined(argv: Sequence[str]) -> list[str]:
     return words
 
 
+def parsed(argv: Sequence[str]) -> argparse.Namespace:
+    """The arguments of one command; InputError for what it does not take."""
+    verb = next((word for word in argv if not word.startswith("-")), None)
+    return build_parser(verb).parse_args(joined(argv))
+
+
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
     """End at once on Ctrl-C or a termination, and leave no half output.
 
@@ -167,7 +173,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 if "" in argv:
                     before = " ".join(argv[: argv.index("")][-1:])
                     raise InputError(f"{before} : is empty; is a shell variable not set?")
-                args = build_parser(verb).parse_args(joined(argv))
+                args = parsed(argv)
                 args.command_line = ["turtlebag", *argv]
                 code = _run(args, stdout)
             stdout.flush()

@@ -36,12 +36,13 @@ def run(args: argparse.Namespace) -> int:
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: at least one is needed")
     from turtlebag.pipeline.campaign.sweep import sweep
-    from turtlebag.pipeline.cli.main import main
+    from turtlebag.pipeline.cli.main import main, parsed
 
     code = sweep(
         args.campaign,
         output(args),
         main,
+        parsed,
         store=args.store,
         scheduler=args.scheduler,
         workers=args.workers,
