@@ -159,6 +159,18 @@ def test_every_picture_is_there(browser, address):
     assert min(widths) > 0
 
 
+def test_the_animation_of_a_tall_map_is_no_higher_than_a_screen(browser, address):
+    browser.open(address, 1400)
+    browser.evaluate(UNFOLD)
+    tall = """(async () => {
+      const image = document.querySelector(".animation");
+      image.src = "data:image/svg+xml,<svg xmlns='http://www.w3.org/2000/svg' width='125' height='400'/>";
+      await image.decode();
+      return image.getBoundingClientRect().height;
+    })()"""
+    assert 100 < browser.evaluate(tall) <= 560
+
+
 def test_dark_and_light_are_both_readable(browser, address):
     colours = []
     for dark in (False, True):
