@@ -46,7 +46,7 @@ class References:
         )
 
     def errors(self, trajectory: Trajectory, grid: OccupancyGrid | None) -> MapErrors:
-        """How far a map is off; InputError when it shares no time with the truth."""
+        """How far a map is off; InputError for truth or relations of another recording."""
         found: MapErrors = {}
         if self.truth is not None:
             try:
@@ -57,6 +57,9 @@ class References:
                 found["map"] = map_metrics(grid, self.true_grid)
         if self.relations is not None:
             found.update(relations_metrics(trajectory, self.relations))
+            if found["relations"]["n"] == 0:
+                file = self.inputs.get("relations", "relations")
+                raise InputError(f"{file}: none of its relations is of two scans of this recording")
         return found
 
 
