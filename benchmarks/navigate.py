@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from scipy.stats import binomtest
 
 from benchmarks import navigate_cases as trials
 from benchmarks.drives import PLACES, Maps
@@ -177,6 +176,8 @@ def _why(goal: GoalMetrics, case: Trial) -> str:
 
 def summary(name: str, rows: Sequence[Row]) -> Row:
     """One line of the table."""
+    from scipy.stats import binomtest  # takes a second to import, as long as all else that is imported here
+
     n, ok = len(rows), sum(row["success"] for row in rows)
     wilson, exact = interval(ok, n), binomtest(ok, n).proportion_ci(method="exact")
 
