@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -103,8 +104,9 @@ def burger_lidar(x: float = -0.032) -> Sensor:
     return Sensor(lds(), 0.2, T_base_lidar=(x, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
 
 
+@cache
 def arena(seed: int, style: str) -> Known:
-    """Nine pillars in a walled arena, TurtleBot3's lidar turning."""
+    """Nine pillars in a walled arena, TurtleBot3's lidar turning. Made once: nobody writes to it."""
     plan = FloorPlan(7.0, 7.0)
     plan.carve(1.0, 1.0, 6.0, 6.0)
     for x, y in ((1.2, 1.2), (5.8, 1.2), (1.2, 5.8), (5.8, 5.8)):

@@ -1,6 +1,7 @@
 """The gyro as evidence of rotation: used where it proves itself, refused where it does not."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -27,8 +28,9 @@ def gyro(stamps_ns, yaw, *, sign=1.0, scale=1.0, bias=BIAS, seed=1):
     return ImuLog(np.round(t * 1e9).astype(np.int64), w, np.zeros_like(w))
 
 
+@cache
 def slipping():
-    """A log whose wheels turn alone for a while."""
+    """A log whose wheels turn alone for a while; made once."""
     T = SE2.from_array(TRUTH)
     steps = T.steps()
     steps[100:150, 2] += 0.06

@@ -1,6 +1,7 @@
 """What goes wrong in real logs: the map is right all the same, or the output says where it is doubtful."""
 
 from dataclasses import replace
+from functools import cache
 
 import gtsam
 import numpy as np
@@ -35,8 +36,9 @@ ROUTE = [
 ROUTE += [(14.7, 7.0), (27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0), (16.0, 7.0)]
 
 
+@cache
 def office(*lies: Lie, person: bool = False) -> Known:
-    """Round the office once into two rooms, 70 m and 120 s, on wheels that drift by metres."""
+    """Round the office once into two rooms, 70 m and 120 s, on wheels that drift by metres; made once."""
     return make_log(
         "hostile", office_plan(1), np.array(ROUTE), Sensor(sick(180, 30.0), 0.4), drive=Drive(v=0.7),
         wheels=WHEELS, lies=lies, person=person,

@@ -46,6 +46,11 @@ def result(log):
     return run_slam(log, SlamConfig())
 
 
+@pytest.fixture(scope="module")
+def by_wheels(log):
+    return run_slam(log, SlamConfig(sensors="odometry"))
+
+
 def error(result, log):
     return ate(result.trajectory, Trajectory(log.stamps_ns, SE2.from_array(TRUTH)), align=False)
 
@@ -114,9 +119,8 @@ def test_lidar_alone_suffices_in_a_room(log):
 
 
 @pytest.mark.slow
-def test_odometry_alone_is_the_odometry(log):
-    result = run_slam(log, SlamConfig(sensors="odometry"))
-    np.testing.assert_allclose(result.trajectory.poses.xyt, log.T_odom_base.xyt, atol=1e-9)
+def test_odometry_alone_is_the_odometry(log, by_wheels):
+    np.testing.assert_allclose(by_wheels.trajectory.poses.xyt, log.T_odom_base.xyt, atol=1e-9)
     with pytest.raises(InputError, match="no odometry"):
         run_slam(replace(log, T_odom_base=None), SlamConfig(sensors="odometry"))
 
@@ -205,12 +209,12 @@ def test_grid_says_how_decided_its_cells_are():
 
 
 @pytest.mark.slow
-def test_map_drawn_along_drifting_wheels_is_called_doubtful(log, result):
-    along = run_slam(log, SlamConfig(sensors="odometry"))
-    assert any("contradict each other" in reason for reason in along.check.reasons)
+def test_map_drawn_along_drifting_wheels_is_called_doubtful(by_wheels, result):
+    along = by_wheels.check
+    assert any("contradict each other" in reason for reason in along.reasons)
     said = result.check.as_metrics()
-    assert said["wall_share"] > 2.0 * along.check.wall_share
-    assert said["map_entropy_bits"] < 0.7 * along.check.map_entropy_bits
+    assert said["wall_share"] > 2.0 * along.wall_share
+    assert said["map_entropy_bits"] < 0.7 * along.map_entropy_bits
 
 
 def test_cells_are_what_most_beams_say():

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -28,8 +29,9 @@ from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts, trac
 from turtlebag.pipeline.slam.tracker import track_log
 
 
+@cache
 def office() -> Known:
-    """Round the office nearly twice, once into two rooms: 125 m."""
+    """Round the office nearly twice, once into two rooms: 125 m; made once."""
     first = [(9.0, 7.0), (10.1, 7.0), (10.1, 4.0), (10.4, 4.0), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5)]
     again = [(15.0, 10.5), (14.7, 7.0), *[(27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0)] * 2]
     return make_log(
