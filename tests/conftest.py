@@ -8,12 +8,8 @@ from collections import Counter
 import pytest
 from hypothesis import settings
 
-from tests.helpers.fuzz_cases import make_chain
-from turtlebag.datasets.maps import save_map
 from turtlebag.pipeline.__main__ import GARBAGE_AFTER
 from turtlebag.pipeline.terminal.messages import verbosity_kept
-from turtlebag.sim.robots import load_robot
-from turtlebag.sim.worlds import load_world
 
 # As in the command itself: collecting the tests takes a third less.
 gc.set_threshold(GARBAGE_AFTER)
@@ -47,6 +43,8 @@ def chain(tmp_path_factory):
 
     It is made once, by whichever worker is the first to need it.
     """
+    from tests.helpers.fuzz_cases import make_chain  # this imports all commands, which most tests do without
+
     place = tmp_path_factory.getbasetemp()
     place = place.parent if "PYTEST_XDIST_WORKER" in os.environ else place
     folder, made = place / "chain", place / "chain.made"
@@ -62,6 +60,10 @@ def chain(tmp_path_factory):
 @pytest.fixture(scope="session")
 def true_map(tmp_path_factory):
     """The arena as it is, at the height of the burger's lidar: the yaml file of a map."""
+    from turtlebag.datasets.maps import save_map
+    from turtlebag.sim.robots import load_robot
+    from turtlebag.sim.worlds import load_world
+
     grid = load_world("turtlebot3_world").rasterize(load_robot("burger").lidar_height)
     return save_map(grid, tmp_path_factory.mktemp("true"), "arena")
 

@@ -36,6 +36,12 @@ def turning():
 
 
 @pytest.fixture(scope="module")
+def turning_long():
+    """The same lidar on a longer way."""
+    return drive(replace(lds(), range_max=8.0), route=LONG)
+
+
+@pytest.fixture(scope="module")
 def paired():
     """A lidar that sees at once, each scan with its odometry, as CARMEN logs have them."""
     return drive(sick(180, 30.0))
@@ -131,8 +137,8 @@ def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, requ
     ("said", "seconds", "over"),
     [("reversed", 0.0, False), ("reversed", 0.4, True), ("none", 0.4, False), ("none", 0.0, True)],
 )
-def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(said, seconds, over):
-    recording = late(drive(replace(lds(), range_max=8.0), route=LONG).recording, seconds)
+def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(turning_long, said, seconds, over):
+    recording = late(turning_long.recording, seconds)
     true = recording.lidar.time_increment
     lidar = replace(recording.lidar, time_increment=-true if said == "reversed" else 0.0)
     wrong = replace(recording, lidar=turned_over(lidar) if over else lidar)

@@ -5,7 +5,6 @@ import sys
 import uuid
 from pathlib import Path
 
-import distributed
 import pytest
 
 from turtlebag.datasets.errors import InputError
@@ -181,6 +180,8 @@ def test_a_case_that_breaks_says_why_and_has_no_numbers(tmp_path, size, reason):
 
 @pytest.fixture(scope="module")
 def scheduler():
+    import distributed  # only here: every worker collects this file
+
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:

@@ -7,7 +7,6 @@ import sys
 import time
 from pathlib import Path
 
-import distributed
 import pytest
 
 from turtlebag.datasets.outputs import Output, sha256_tree
@@ -93,6 +92,8 @@ def rows(folder):
 
 def undisturbed(place, monkeypatch):
     """The campaign's folder made in this process, by threads."""
+    import distributed  # only here: every worker collects this file
+
     from turtlebag.pipeline.campaign.sweep import sweep
 
     monkeypatch.setenv("RAN", str(place))
