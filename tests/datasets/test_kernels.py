@@ -62,7 +62,7 @@ def tree(tmp_path):
 
 def call(tree, **environment):
     """(what the kernel gives, kernels that needed no compiling), in a process of its own."""
-    given = {**os.environ, "PYTHONPATH": str(tree), **environment}
+    given = {**os.environ, "PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(tree / "kernels"), **environment}
     done = subprocess.run(
         [sys.executable, "-c", CALL], env=given, cwd=tree, capture_output=True, text=True, check=False
     )
