@@ -67,3 +67,11 @@ def test_a_scan_and_a_cloud_of_the_same_beams_are_deskewed_alike():
     knots = np.stack([np.zeros(6), se3.log(se3.lifted(motion))])
     expected = np.column_stack([origins + 2.0 * directions, np.full(12, 0.2)])
     np.testing.assert_allclose(deskewed_points(ends, FRACTIONS, knots), expected, atol=1e-9)
+
+
+def test_the_last_point_of_a_sweep_reads_nothing_beyond_the_last_knot():
+    knots = np.zeros((4, 6))
+    knots[1:3, 3] = 1.0, 2.0
+    knots[3] = np.nan
+    moved = deskewed_points(np.zeros((3, 3)), np.array([0.25, 1.0, 2.0]), knots[:3])
+    np.testing.assert_allclose(moved, [[0.5, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0, 0.0]], atol=1e-12)

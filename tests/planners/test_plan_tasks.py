@@ -4,12 +4,13 @@ import math
 
 import pytest
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, RelocaliseConfig
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.recovery import Ladder, Move, ProgressWatch, RecoveryConfig, Rung, Wait
-from turtlebag.planners.tasks.waypoints import Waypoint
+from turtlebag.planners.tasks.waypoints import Waypoint, parse_polygons, parse_waypoint
 from turtlebag.planners.tasks.wiggle import Wiggle
 
 S = 10**9
@@ -189,3 +190,47 @@ def test_a_wiggle_is_a_triangle_wave_between_its_angles():
     short = Wiggle()
     assert [short.command(t, True) is None for t in (0, 3 * S - 1, 3 * S)] == [False, False, True]
     assert not short.gave_up
+
+
+@pytest.mark.parametrize(
+    ("entry", "pose"),
+    [
+        ([1, 2], (1.0, 2.0, 0.0)),
+        ([1, 2, 3], (1.0, 2.0, 3.0)),
+        ({"x": 1, "y": 2, "yaw": -0.5, "wait": 3600}, (1.0, 2.0, -0.5)),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, 2 * math.sin(0.5), 2 * math.cos(0.5)]}, (1.0, 2.0, 1.0)),
+    ],
+)
+def test_an_entry_of_a_waypoints_file_is_a_pose(entry, pose):
+    found = parse_waypoint(entry)
+    assert found.reason == ""
+    assert found.T_map_goal.xyt == pytest.approx(pose)
+    assert found.written == pytest.approx(pose)
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        ("home", "not an entry"),
+        ({"y": 2}, "x is missing"),
+        ({"x": True, "y": 2}, "x is not a finite number"),
+        ({"x": 1, "y": math.inf}, "y is not a finite number"),
+        ([1, 2, None], "yaw is not a finite number"),
+        ({"x": 1, "y": 2, "wait": 3601}, "wait must be 0 to 3600 s"),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, 0, 0]}, "its norm is zero"),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, 1]}, "expected [x, y, z, w]"),
+    ],
+)
+def test_an_entry_that_is_no_pose_says_why(entry, reason):
+    found = parse_waypoint(entry)
+    assert found.T_map_goal is None
+    assert reason in found.reason
+
+
+def test_areas_to_keep_out_of_have_three_finite_corners():
+    corners = [[0, 0], [1, 0], [1, 1]]
+    (polygon,) = parse_polygons([corners], "file")
+    assert polygon.tolist() == corners
+    for bad in (corners[:2], [[0, 0], [1, 0], [1]], [[0, 0, 0]] * 3, [*corners, [0, math.nan]], "home", 1):
+        with pytest.raises(InputError, match="file: keepout 2: expected three or more corners"):
+            parse_polygons([corners, bad], "file")
