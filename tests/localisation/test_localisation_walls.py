@@ -28,6 +28,20 @@ def odometry_errors(track):
     return track._x[POSE:FIXED].copy(), np.sqrt(np.diag(track._P)[POSE:FIXED])
 
 
+def test_a_wall_has_one_offset_however_often_it_is_seen_and_keeps_it_when_others_are_forgotten(monkeypatch):
+    surfaces = fit_surfaces(l_shaped_room().grid())
+    track = WallFilter(surfaces, SE2.from_xyt(2.0, 2.0, 0.4), 1e-4 * np.eye(3))
+    assert track._admit(np.array([0, 2], dtype=np.int32)).tolist() == [0, 1]
+    assert track._admit(np.array([2, 0, 1], dtype=np.int32)).tolist() == [1, 0, 2]
+    assert offsets(track) == {k: (0.0, pytest.approx(0.14 * surfaces.resolution)) for k in (0, 1, 2)}
+    track._x[FIXED:] = 0.01, 0.02, 0.03
+    assert track._offsets()[:4].tolist() == [0.01, 0.03, 0.02, 0.0]
+    monkeypatch.setattr("turtlebag.pipeline.localisation.wall_filter.MAX_WALLS", 2)
+    track._scans = 1
+    assert track._admit(np.array([1], dtype=np.int32)).tolist() == [1]
+    assert track._offsets()[:4].tolist() == [0.01, 0.03, 0.0, 0.0]
+
+
 @pytest.mark.slow
 def test_a_slanted_wall_is_found_finer_than_its_cells():
     angle = 0.4
