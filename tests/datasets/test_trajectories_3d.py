@@ -123,3 +123,15 @@ def test_repeated_stamps_are_left_out_and_the_rest_is_put_in_order():
     track = Trajectory3D(np.array([30, 10, 30, 20], dtype=np.int64), POSES[:4]).in_time()
     assert track.stamps_ns.tolist() == [10, 20, 30]
     np.testing.assert_array_equal(track.T, POSES[[1, 3, 0]])
+
+
+def test_what_is_corrected_in_another_systems_trajectory_is_noted(tmp_path):
+    file = tmp_path / "a.tum"
+    file.write_text("".join(f"{t} {t} 0 0 0 0 0 1\n" for t in (1, 2, 2, 3)))
+    system = load_rival(RivalFiles("a", file, base=(0.5, 0.0, 0.0)), np.arange(4))
+    assert system.track is not None
+    np.testing.assert_allclose(system.track.T[:, 0, 3], [0.5, 1.5, 2.5])
+    assert system.notes == (
+        "1 of its poses repeat a stamp and were left out.",
+        "It tracks a point at 0.5, 0 m, 0 rad on the robot; moved to the base.",
+    )
