@@ -58,12 +58,18 @@ class Tree:
         (self.path / "turtlebag/__init__.py").write_text(PACKAGE)
 
     def tests_of(self, path: str) -> list[Tests]:
-        """The test files that import a module, and the quick tests of the others of its subject."""
+        """The test files that import a module, and the quick tests of the others of its subject.
+
+        Where no test of the subject imports it, those elsewhere that do.
+        """
         folder = next(folder for folder in FOLDERS if path.startswith(f"{folder}/"))
         files = sorted((self.path / "tests" / Path(folder).name).rglob("test_*.py"))
         package, name = path.removesuffix(".py").replace("/", ".").rpartition(".")[::2]
         module = re.compile(rf"turtlebag\.{package}(\.{name}\b| import .*\b{name}\b)")
         near = [file for file in files if module.search(file.read_text())]
+        if not near:
+            everywhere = sorted((self.path / "tests").rglob("test_*.py"))
+            near = [file for file in everywhere if module.search(file.read_text())]
         parts = ((near, ""), ([file for file in files if file not in near], "not slow"))
         return [([str(file.relative_to(self.path)) for file in part], mark) for part, mark in parts if part]
 

@@ -90,6 +90,12 @@ def test_the_tests_that_import_the_module_are_asked_first_and_then_the_quick_one
     assert beside == (["tests/planners/test_b.py"], "not slow")
 
 
+def test_where_no_test_of_the_subject_imports_the_module_those_elsewhere_are_asked(tree):
+    (tree.path / "tests/slam").mkdir()
+    (tree.path / "tests/planners/test_a.py").rename(tree.path / "tests/slam/test_a.py")
+    assert tree.tests_of("planners/a.py")[0] == (["tests/slam/test_a.py"], "")
+
+
 @pytest.mark.slow
 def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch):
     monkeypatch.setattr("tests.mutants.__main__.GRACE_S", 1.0)
