@@ -11,7 +11,10 @@ a wall, is evidence against a pose, which the likelihood field alone does not ha
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
@@ -82,13 +85,25 @@ class GlobalSearch:
         best = np.where(np.arange(p.shape[1]) < hits, sum(self._noise[1:]), 1.0 - P_MISSED)
         return np.asarray(np.mean(p / best, axis=1))
 
-    def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
-        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,)."""
+    def draw(
+        self,
+        count: int,
+        beams: Beams,
+        rng: np.random.Generator,
+        around: Array | None = None,
+        without: Callable[[Array], NDArray[np.bool_]] | None = None,
+    ) -> Array:
+        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,).
+
+        `without` says which of poses (n, 3) are not to be drawn; where that is all, none are.
+        """
         if around is None:
             poses = self.uniform(CANDIDATES, rng)
         else:
             poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * AROUND
         for shake in SHAKES:
+            if without is not None and len(poses := poses[~without(poses)]) == 0:
+                return poses
             weights = tempered(self._score(poses, beams))
             poses = poses[low_variance(weights, STAGE_PARTICLES, rng.random())]
             poses = poses + rng.standard_normal(poses.shape) * shake

@@ -8,10 +8,10 @@ Kristensen 2001). Later scans decide which one is right, each hypothesis aligned
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ class Aliasing:
         here = [T_map_odom @ scan.T_odom_base for scan in scans]
         found = [SE2.identity()]
         for scan, T_map_base in zip(scans, here, strict=True):
-            for pose in self._places(scan.beams):
+            for pose in self._places(scan.beams, [known @ T_map_base for known in found]):
                 T_map_map = SE2.from_array(pose) @ T_map_base.inverse()
                 if all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
                     found.append(T_map_map)
@@ -94,9 +94,12 @@ class Aliasing:
                 most = np.maximum(most, clearly_other(one, other))
         return most
 
-    def _places(self, beams: Beams) -> list[Array]:
-        """Centres (3,) of the clusters of poses that one scan alone makes likely: a share that counts."""
-        poses = self._search.draw(STAGE_PARTICLES, beams, self._rng)
+    def _places(self, beams: Beams, known: Sequence[SE2]) -> list[Array]:
+        """Centres (3,) of the clusters of poses that one scan alone makes likely: a share that counts.
+
+        Places that are `known` are not drawn: the likeliest would leave few poses to the others.
+        """
+        poses = self._search.draw(STAGE_PARTICLES, beams, self._rng, without=lambda p: at_one_of(known, p))
         places = []
         while len(poses) > LEAST_EFFECTIVE * STAGE_PARTICLES:
             weights = np.full(len(poses), 1.0 / len(poses))
@@ -146,10 +149,15 @@ class PoseHypotheses:
         return self.poses[0] if len(self.poses) == 1 else None
 
 
-def apart(one: SE2, other: SE2, reach: float = APART) -> bool:
-    """Whether two poses are different places: farther apart, or turned more, than `reach` [m, rad]."""
-    x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return math.hypot(x, y) > reach or abs(yaw) > reach
+def apart(one: SE2, other: SE2, reach: float = APART) -> Any:
+    """Whether a pose and another (or each of many) are two places: farther apart than `reach` [m, rad]."""
+    x, y, yaw = np.moveaxis((one.inverse() @ other).xyt, -1, 0)
+    return (np.hypot(x, y) > reach) | (np.abs(yaw) > reach)
+
+
+def at_one_of(places: Sequence[SE2], poses: Array) -> NDArray[np.bool_]:
+    """Which poses (n, 3) are at one of the places, (n,) of bool."""
+    return np.any([~apart(T_map_base, SE2(poses)) for T_map_base in places], axis=0)
 
 
 def within(poses: Array, centre: Array) -> NDArray[np.bool_]:

@@ -133,14 +133,19 @@ def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hu
     poses = np.repeat(centres, [1800, 750, 421, 29], axis=0) + rng.normal(0.0, 0.03, (3000, 3))
 
     class Drawn:
-        def draw(self, count, beams, of):
+        def draw(self, count, beams, of, without):
             assert count == 3000
-            return rng.permutation(poses)
+            return rng.permutation(poses[~without(poses)])
 
-    found = Aliasing(Drawn(), rng)._places(None)
+    aliasing = Aliasing(Drawn(), rng)
+    found = aliasing._places(None, [SE2.from_xyt(-20.0, 0.0, 0.0)])
     assert len(found) == 3
     for centre in centres[:3]:
         assert min(np.abs(place - centre).max() for place in found) < 0.02
+    # Known ones are not drawn: the first, and one that is as near to the second in place, but not in heading.
+    (other, turned) = sorted(aliasing._places(None, [SE2.identity(), SE2.from_xyt(3.0, 0.0, 1.5)]), key=sum)
+    assert np.abs(turned - centres[1]).max() < 0.02
+    assert np.abs(other - centres[2]).max() < 0.02
 
 
 def test_a_rival_stays_while_its_mean_of_six_is_close():
@@ -234,6 +239,10 @@ def test_the_search_finds_the_place_anywhere_and_about_a_pose():
         off[:, 2] = wrap(off[:, 2])
         assert np.median(np.hypot(off[:, 0], off[:, 1])) < 0.1
         assert np.abs(poses[:, 2]).max() <= math.pi
+    elsewhere = search.draw(400, beams, rng, without=lambda poses: np.hypot(*(poses - PLACE.xyt).T[:2]) < 1.0)
+    assert len(elsewhere) == 400
+    assert np.hypot(*(elsewhere - PLACE.xyt).T[:2]).min() > 0.8
+    assert search.draw(400, beams, rng, without=lambda poses: np.ones(len(poses), bool)).shape == (0, 3)
     assert search.agreement(PLACE.xyt, beams) > 0.9
     both = search.agreements(np.array([PLACE.xyt, [2.5, 3.0, 1.0]]), beams)
     assert both[0] == search.agreement(PLACE.xyt, beams) > both[1]
