@@ -1,8 +1,8 @@
 """Active disambiguation: the robot drives to where the scans expected under its pose hypotheses differ.
 
-The path must be free under every hypothesis. If no reachable place distinguishes them, or it takes too
-long, the goal is given up with that reason: to report a goal as reached, or to drive on, by
-the likelier hypothesis would be a guess.
+The path must be free under every hypothesis. If no reachable place distinguishes them, it roams without a
+map. If it takes too long, the goal is given up with that reason: to report a goal as reached, or to drive
+on, by the likelier hypothesis would be a guess.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
 
-# Places looked at are so far apart.
-SPACING_M = 0.15
+# Places looked at are so far apart; after so much roaming, places are looked for again (not measured).
+SPACING_M, AGAIN_M = 0.15, 0.5
 
 
 class Disambiguation:
@@ -48,6 +48,7 @@ class Disambiguation:
         self._began_ns = now_ns
         self._visited: list[Array] = []
         self._runner: GoalRunner | None = None
+        self._in_vain: Array | None = None  # where no place was found (2,)
 
     def rest(self) -> None:
         """A teleop override has ended."""
@@ -60,12 +61,18 @@ class Disambiguation:
         fits = self._aliasing.fits(poses, localiser.keyframes[-1], localiser.T_map_odom)
         return self._hypotheses.judge(fits)
 
-    def command(self, tick: Tick, most_s: float) -> Twist | None:
-        """The command of a tick; None if nothing more can be done within `most_s` seconds."""
-        if tick.now_ns - self._began_ns > nanoseconds(most_s):
+    def over(self, now_ns: int, most_s: float) -> bool:
+        """Whether it has taken more than `most_s` seconds."""
+        return now_ns - self._began_ns > nanoseconds(most_s)
+
+    def command(self, tick: Tick) -> Twist | None:
+        """The command of a tick; None where no place in reach distinguishes the hypotheses."""
+        here = tick.pose.xy
+        if self._in_vain is not None and np.linalg.norm(here - self._in_vain) < AGAIN_M:
             return None
         if self._runner is None:
             self._runner = self._set_out(tick.pose)
+        self._in_vain = here if self._runner is None else None
         if self._runner is None:
             return None
         command, verdict = self._runner.step(tick)

@@ -149,7 +149,7 @@ class NavigationDriver(Driver):
     def _compare(self, relocaliser: Relocaliser, observation: Observation, span_ns: int) -> Twist:
         """Drive to find out which of the hypotheses is right; the goal's clock stands.
 
-        A goal is given up when there is nothing that tells them apart, or not in time.
+        A goal is given up when nothing has told them apart in time.
         """
         now, T_map_odom = observation.stamp_ns, relocaliser.localiser.T_map_odom
         assert relocaliser.comparison is not None
@@ -162,7 +162,8 @@ class NavigationDriver(Driver):
             self._see(self.sensing.sweep, T_map_odom, relocaliser.comparison.tools.obstacles)
         T_odom_base = observation.odometry.T_odom_base
         stop = self._moving.stops(T_odom_base)
-        command = relocaliser.compare(self._tick(observation, T_map_odom @ T_odom_base, stop=stop))
+        tick = self._tick(observation, T_map_odom @ T_odom_base, stop=stop)
+        command = relocaliser.compare(tick, observation, self.sensing.sweep)
         if relocaliser.void:
             self._forget()
         if command is not None:

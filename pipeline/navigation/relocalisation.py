@@ -13,7 +13,7 @@ from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, State
-from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.tasks.wiggle import Wiggle
 
 JUMP = 0.25
@@ -99,10 +99,7 @@ class Relocaliser:
         now, state, T_odom_base = observation.stamp_ns, self.machine.state, observation.odometry.T_odom_base
         controller = self.tools.controller
         if state is State.ROAM and sensing.sweep is not None:
-            new = observation.scan is not None
-            return controller.ramp(
-                self._avoidance.command(sensing.sweep, T_odom_base, last, new_sweep=new), last
-            )
+            return self._roam(observation, last, sensing.sweep)
         if state not in (State.WIGGLE, State.LOOK):
             return controller.brake(last)
         amcl, wiggling = self.localiser.amcl, state is State.WIGGLE
@@ -116,8 +113,13 @@ class Relocaliser:
         factor = self.tools.monitor.limit(turn, sensing.points_base(T_odom_base))
         return controller.ramp(Twist(0.0, turn.w * factor), last)
 
-    def compare(self, tick: Tick) -> Twist | None:
-        """The command of active disambiguation; None if nothing more can be done."""
+    def _roam(self, observation: Observation, last: Twist, sweep: DeskewedScan) -> Twist:
+        T_odom_base, new = observation.odometry.T_odom_base, observation.scan is not None
+        wanted = self._avoidance.command(sweep, T_odom_base, last, new_sweep=new)
+        return self.tools.controller.ramp(wanted, last)
+
+    def compare(self, tick: Tick, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
+        """The command of active disambiguation; None if it has taken too long."""
         assert self.comparison is not None
         if self._sureness.new_update(self.localiser):
             left = self.comparison.judge(self.localiser)
@@ -126,7 +128,12 @@ class Relocaliser:
                 self.machine.on(Event.DECIDED, tick.now_ns, self.localiser.updates)
                 self._move_to(left)
                 return self.tools.controller.brake(tick.last)
-        return self.comparison.command(tick, self.machine.config.tell_apart)
+        if self.comparison.over(tick.now_ns, self.machine.config.tell_apart):
+            return None
+        command = self.comparison.command(tick)
+        if command is None and not tick.stop and sweep is not None:
+            return self._roam(observation, tick.last, sweep)
+        return self.tools.controller.brake(tick.last) if command is None else command
 
     def _jumped(self, T_odom_base: SE2) -> bool:
         """Whether the estimate has moved otherwise than by odometry since the last question.

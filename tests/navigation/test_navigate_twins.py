@@ -261,13 +261,16 @@ def test_a_robot_that_wakes_up_in_one_of_two_places_finds_out_which_and_arrives(
 
 
 @pytest.mark.slow
-def test_where_nothing_tells_them_apart_no_goal_counts_and_the_reason_is_said(tmp_path):
+def test_where_nothing_tells_them_apart_it_roams_no_goal_counts_and_the_reason_is_said(tmp_path):
+    config = NavigateConfig(relocalise=RelocaliseConfig(tell_apart=20.0))
     goal = SE2.from_xyt(4.8, 3.0, 0.0)
-    episode = run(world(cupboard=False), tmp_path, NavigateConfig(), initial_pose="global", goal=goal)
+    episode = run(world(cupboard=False), tmp_path, config, initial_pose="global", goal=goal)
     (outcome,) = episode.metrics["goals"]
     assert outcome["status"] != "reached"
     # One place alone in its cloud has a rival; with both in it the robot says that it is lost.
     assert REASON in outcome["reason"] or LOST in outcome["reason"]
+    assert episode.metrics["distance_m"] > 1.0
+    assert not any(episode.metrics["collisions"].values())
 
 
 @pytest.mark.slow
