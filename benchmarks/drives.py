@@ -49,7 +49,8 @@ class Place:
     def drive(self, seed: int, seconds: float) -> list[Sweep]:
         """From random place to random place for a while, steered by the truth as by a person who watches."""
         rng = stream(seed, "wander")
-        spawn = SE2.from_xyt(*rng.choice(self._places), rng.uniform(-math.pi, math.pi))
+        x, y = rng.choice(self._places)
+        spawn = SE2.from_xyt(x, y, rng.uniform(-math.pi, math.pi))
         planner = RoutePlanner(replace(self.world, spawn=spawn), self.robot)
         route = random_goals(planner, rng, 1.5 * V * seconds)
         odometry, scans = [], []

@@ -67,8 +67,10 @@ class Known:
         left = np.ones(len(pairs), dtype=bool)
         for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
             left &= nearest(recording.stamps_ns, wanted)[1]
-        kept = {"relations": chosen(pairs, left), "which": self.which[left]}
-        return replace(self, recording=recording, reference=self.reference[keep], **kept)
+        reference, relations = self.reference[keep], chosen(pairs, left)
+        return replace(
+            self, recording=recording, reference=reference, relations=relations, which=self.which[left]
+        )
 
     def places(self, count: int, rng: np.random.Generator | None = None) -> list[int]:
         """Up to `count` scans far apart in time: where the robot turns most, or with `rng` anywhere."""
@@ -85,7 +87,7 @@ class Known:
     def around(self, centres: list[int], seconds: float) -> Mask:
         """Scans within a stretch of so many seconds about one of the centres, (n,)."""
         t = self.times
-        return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
+        return np.asarray((np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1))
 
     def with_odometry(self, T_odom_base: SE2) -> Known:
         """The log with another odometry at its scans.

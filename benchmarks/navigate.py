@@ -135,8 +135,8 @@ def row_of(case: Trial, episode: Episode, cpu_s: float) -> Row:
         "visible": m["collisions"]["visible"],
         "low": m["collisions"]["low"],
         "own_speed": own,
-        "worst_error_m": max((g["error_m"] for g in reached), default=None),
-        "worst_error_rad": max((g["error_rad"] for g in reached), default=None),
+        "worst_error_m": max((g["error_m"] for g in reached if g["error_m"] is not None), default=None),
+        "worst_error_rad": max((g["error_rad"] for g in reached if g["error_rad"] is not None), default=None),
         "min_clearance_m": m["min_clearance_m"],
         "distance_m": m["distance_m"],
         "seen_share": seen,
@@ -170,6 +170,8 @@ def _why(goal: GoalMetrics, case: Trial) -> str:
     if goal["status"] != "reached":
         return "" if goal["status"] == case.wanted else f"{goal['status']} {goal.get('reason', '')}".strip()
     off_m, off_rad = goal["error_m"], goal["error_rad"]
+    assert off_m is not None
+    assert off_rad is not None
     there = case.wanted == "reached" and off_m <= case.within[0] and off_rad <= case.within[1]
     return "" if there else f"reached, but truly {off_m:.2f} m and {off_rad:.2f} rad off"
 

@@ -24,6 +24,7 @@ from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.tasks.avoid import AvoidConfig
 from turtlebag.planners.tasks.waypoints import tutorial_patrol
+from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.faults import FaultConfig
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.shapes import Solid, box
@@ -67,7 +68,7 @@ class Trial:
     robot: RobotSpec
     request: Request
     config: NavigateConfig = dataclasses.field(default_factory=NavigateConfig)
-    score: Callable[[dict], float] | None = None
+    score: Callable[[RunMetrics], float] | None = None
     wanted: str = "reached"
     within: tuple[float, float] = (0.05, math.radians(5.0))
     seen: float = 0.0
@@ -224,8 +225,8 @@ def barn(worlds: list[Path], name: str, seed: int) -> Trial:
     return Trial(world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
 
 
-def _barn_score(best: float) -> Callable[[dict], float]:
-    def score(metrics: dict) -> float:
+def _barn_score(best: float) -> Callable[[RunMetrics], float]:
+    def score(metrics: RunMetrics) -> float:
         """Success (truly within 1 m) times OT over AT cut to 2 OT .. 8 OT (the challenge's formula)."""
         taken, error = metrics["goals"][0]["time_s"], metrics["goals"][0]["error_m"]
         arrived = metrics["success"] and error is not None and error <= 1.0

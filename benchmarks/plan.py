@@ -35,7 +35,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_free, path_clearance, sample_footprint
 from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, plan_path
-from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
+from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName, Space
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import densify
 from turtlebag.sim.robots import RobotSpec, load_robot
@@ -51,7 +51,7 @@ MAPS = (
     ("office:1", "waffle_pi"),
 )
 POSE_MAPS = tuple(PLACES.values())
-SPACES = ("se2", "reeds_shepp", "dubins")
+SPACES: tuple[Space, ...] = ("se2", "reeds_shepp", "dubins")
 LEAST_APART_M = 1.0
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
 """Unsolvable queries, and the gap in footprints' widths."""
@@ -92,7 +92,7 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
     return Place(name, robot, costmap, grid, cells, tuple(queries))
 
 
-def config_of(planner: str, space: str) -> PlanConfig:
+def config_of(planner: PlannerName, space: Space) -> PlanConfig:
     """The product's settings; planners that go on improving in headings, too, get fewer iterations."""
     quick = planner in ("RRT", "RRTConnect", "KPIECE1", "BKPIECE1", "LBKPIECE1")
     # FMT asks at every sample it draws, and draws them all first.
@@ -128,13 +128,15 @@ def clearance(at: Place, found: Plan, space: str) -> float:
 
 
 @cache
-def compiled(space: str) -> None:
+def compiled(space: Space) -> None:
     """Plan once, so that no row pays for what is compiled or loaded."""
     at = place(*MAPS[0], 1, Path())
     ask(at, *at.queries[0][:2], config_of("RRTConnect", space), SEED)
 
 
-def plan_row(map: str, robot: str, space: str, query: int, planner: str, count: int, out: Path) -> Row:
+def plan_row(
+    map: str, robot: str, space: Space, query: int, planner: PlannerName, count: int, out: Path
+) -> Row:
     """A planner on one of `count` queries of a place."""
     compiled(space)
     at = place(map, robot, count, out)

@@ -35,6 +35,7 @@ def world_row(world: str, sensors: str, out: Path) -> Row:
     start = time.process_time()
     kept = tb.map(bag, topic="/points", settings={"sensors": sensors}, truth=bag, out=place, force=True)
     spent, found, driven = time.process_time() - start, kept.metrics, kept.trajectory
+    assert bag.truth is not None
     off = errors(driven.poses, bag.truth.at(driven.stamps_ns))
     wheels = sensors == "both"
     anchored = {"rmse": off["anchored_m"], "max": off["anchored_worst_m"]}

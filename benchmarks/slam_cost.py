@@ -205,7 +205,8 @@ def hours_row() -> Row:
     world, robot = load_world("turtlebot3_world"), load_robot("burger")
     script = Script(name="hours", style="flowing", steps=[Step(random_walk=200.0)] * 100)
     mapped_so_far = OnlineMap(robot.T_base_lidar, SlamConfig())
-    off, spent, held = [], [], []
+    off, spent = [], []
+    held: list[float] = []
     with Simulator(world, robot, SimConfig(), 1) as simulator:
         driver = commands(script, world, robot, 1)
         command, observation = next(driver), simulator.reset()

@@ -60,7 +60,7 @@ PUBLISHED = {
 WORLDS = Path(__file__).with_name("worlds")
 BRISK = str(WORLDS / "brisk.yaml")
 ROUND = str(WORLDS / "round.yaml")
-FAR = {"sim.lidar.rate_hz": 5.0}
+FAR: dict[str, Any] = {"sim.lidar.rate_hz": 5.0}
 """A Jackal's lidar, which sees 30 m far, at the rate of the others."""
 SLIP = {"sim.faults.slip": [[20.0, 25.0, 0.7, 0.7], [90.0, 92.0, 0.3, 0.0]]}
 SILENT = {"sim.faults.scan_silent": [[35.0, 38.0], [120.0, 123.0]]}
@@ -137,6 +137,7 @@ def driven(
     """A simulated drive, its log with the true poses; `more` are settings of the simulator."""
     settings = {"sim.sensors": sensors, **more}
     bag = tb.record(world, robot, teleop=teleop, seed=seed, settings=settings)
+    assert bag.truth is not None
     return known(bag.recording, bag.truth.at(bag.recording.stamps_ns)), bag
 
 

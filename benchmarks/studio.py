@@ -38,7 +38,7 @@ from turtlebag.pipeline.studio.pilot import DRAWN_EVERY_NS
 from turtlebag.pipeline.studio.server import serve
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.view import MapLayer
+from turtlebag.pipeline.studio.view import MapLayer, View
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
@@ -50,7 +50,7 @@ START = [-2.0, -0.5, 0.0]
 class Stamped(Session):
     """Says in each view when it was asked for."""
 
-    def view(self):
+    def view(self) -> View:
         at = time.monotonic()
         return dataclasses.replace(super().view(), state=repr(at))
 

@@ -58,7 +58,8 @@ def cluster(workers: int, folder: Path) -> Iterator[tuple[str, list[int]]]:
 
     os.environ |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     with SubprocessCluster(
-        n_workers=workers, threads_per_worker=1, worker_class="distributed.Worker", dashboard_address=None,
+        n_workers=workers, threads_per_worker=1, worker_class="distributed.Worker",
+        dashboard_address=None,  # type: ignore[arg-type]  # its documentation has it, its annotation has not
         worker_kwargs={"local_directory": str(folder)},
     ) as made:  # fmt: skip
         yield made.scheduler_address, [p.process.pid for p in (made.scheduler, *made.workers.values())]

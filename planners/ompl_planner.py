@@ -34,12 +34,15 @@ RANGE_M = 1.5
 shortest for 1.05."""
 
 
+Space = Literal["disc", "se2", "reeds_shepp", "dubins"]
+
+
 class OmplConfig(Settings, allow_inf_nan=False):
     """The OMPL planner and its budget."""
 
     planner: PlannerName | None = None
     """None: BITstar for a disc, RRTConnect elsewhere."""
-    space: Literal["disc", "se2", "reeds_shepp", "dubins"] = "disc"
+    space: Space = "disc"
     """`disc` plans for the disc around the footprint; the others for the footprint itself, with heading."""
     turning_radius: float = Field(default=0.3, gt=0.0, le=100.0)
     """Minimum turning radius in reeds_shepp and dubins [m]."""

@@ -59,7 +59,7 @@ class Step(Settings):
     """Metres of driving to random reachable, collision-free places."""
     repeat: Annotated[int, Field(ge=1)] | None = None
     """How often to do `steps`."""
-    steps: list[Step] = Field([])
+    steps: list[Step] = Field(default=[])
 
     @model_validator(mode="after")
     def _one_action(self) -> Step:
