@@ -91,10 +91,11 @@ def test_an_mcap_with_a_damaged_index_comes_whole(tmp_path, memory, at):
     assert brought("memory://bags/bad.mcap", tmp_path / "here").read_bytes() == bytes(content)
 
 
-def test_a_folder_comes_with_its_metadata_and_storage_files(tmp_path, memory):
+@pytest.mark.parametrize("folder", ["drive", "drive/bag"])
+def test_a_folder_comes_with_its_metadata_and_storage_files(tmp_path, memory, folder):
     write_drive(tmp_path / "drive/bag", seconds=1.0)
     (tmp_path / "drive/bag/notes.txt").write_text("not of the bag")
-    memory.put(str(tmp_path / "drive"), "/runs/drive", recursive=True)
+    memory.put(str(tmp_path / folder), "/runs/drive", recursive=True)
     here = brought("memory://runs/drive", tmp_path / "here")
     assert {path.name for path in here.iterdir()} == {"bag_0.mcap", "metadata.yaml"}
     assert len(load_recording(here)) == len(load_recording(tmp_path / "drive"))

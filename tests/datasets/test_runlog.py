@@ -35,6 +35,9 @@ def test_parts_of_a_run_log_are_one_log_again(tmp_path):
         log.write_rows(file)
     assert (tmp_path / "joined.csv").read_bytes() == (tmp_path / "parts.csv").read_bytes()
     assert len(RunLog.load(tmp_path / "parts.csv")) == 10
+    RunLog.joined([log]).save(tmp_path / "alone.csv")
+    log.save(tmp_path / "log.csv")
+    assert (tmp_path / "alone.csv").read_bytes() == (tmp_path / "log.csv").read_bytes()
 
 
 def test_a_run_log_comes_back_from_its_file(tmp_path):

@@ -298,6 +298,18 @@ def test_places_that_agree_outvote_the_aliases():
     assert PlaceRecognitionConfig().min_support == 3
 
 
+def test_the_newer_part_is_moved_to_where_its_best_place_says_and_the_others_stay():
+    poses, part = np.random.default_rng(1).normal(0.0, 1.0, (9, 3)), np.repeat([0, 1, 2], 3)
+    members = [place(7, 1, (0.2, 0.1, 0.3), 0.7), place(8, 0, (0.5, -0.4, 1.0), 0.9)]
+    moved, joined = place_recognition._laid_together(poses, part, members)
+    np.testing.assert_allclose(between(moved[0], moved[8]), (0.5, -0.4, 1.0), atol=1e-12)
+    np.testing.assert_allclose(SE2(moved[6:]).steps(), SE2(poses[6:]).steps(), atol=1e-12)
+    np.testing.assert_array_equal(moved[:6], poses[:6])
+    assert joined.tolist() == [0, 0, 0, 1, 1, 1, 0, 0, 0]
+    again, _ = place_recognition._laid_together(moved, joined, [place(7, 1, (0.2, 0.1, 0.3))])
+    np.testing.assert_array_equal(again, moved)
+
+
 def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
     """After a break nothing is known of, five rounds of a room cost what one does."""
     looked_at: list[int] = []

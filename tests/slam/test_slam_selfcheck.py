@@ -73,6 +73,10 @@ def test_scans_that_fit_nothing_are_counted(drive):
     overlap = np.ones(60)
     overlap[20:40] = 0.05
     assert reasons(drive, overlap=overlap) == ("20 scans do not fit the map (first: scan 20)",)
+    overlap[23:] = 1.0
+    assert reasons(drive, overlap=overlap) == ()
+    overlap[30] = 0.05
+    assert reasons(drive, overlap=overlap) == ("4 scans do not fit the map (first: scan 20)",)
 
 
 def test_scans_without_surfaces_are_counted(drive):
