@@ -1,6 +1,7 @@
 """Bags behind a URL: an mcap by the ranges that are needed, everything else whole."""
 
 import shutil
+from dataclasses import replace
 
 import fsspec
 import numpy as np
@@ -9,7 +10,8 @@ from fsspec.implementations.memory import MemoryFileSystem
 from mcap.writer import Writer
 
 from tests.helpers.bag_samples import write_drive
-from turtlebag.datasets.bags import mcap_index
+from turtlebag.datasets.bags import mcap_index, mcap_ranges
+from turtlebag.datasets.bags.mcap_ranges import partial_mcap
 from turtlebag.datasets.bags.mcap_scan import McapScan
 from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
@@ -81,6 +83,22 @@ def test_an_mcap_comes_by_ranges_and_maps_as_the_whole_one(tmp_path, memory, rea
     for name in ("stamps_ns", "ranges"):
         assert np.array_equal(getattr(part, name), getattr(whole, name), equal_nan=True)
     assert np.array_equal(part.T_odom_base.xyt, whole.T_odom_base.xyt)
+
+
+def test_the_pieces_come_in_the_file_s_order_whatever_that_of_the_index(tmp_path, monkeypatch):
+    content = with_pictures(tmp_path, pictures=2).read_bytes()
+
+    def pieces():
+        return b"".join(partial_mcap(lambda start, end: content[start:end], len(content), list))
+
+    usual, read_index = pieces(), mcap_ranges.read_index
+
+    def backwards(*of):
+        index = read_index(*of)
+        return replace(index, chunks=index.chunks[::-1])
+
+    monkeypatch.setattr(mcap_ranges, "read_index", backwards)
+    assert pieces() == usual
 
 
 @pytest.mark.parametrize("at", [-1, -40, -2000])

@@ -101,6 +101,9 @@ def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
             v = min(v, top * max(SLOWEST, room_m / NEAR_M))
         v = min(v, math.sqrt(1.2 * 0.8 * 1e3 * remaining), 2.0 / max(bend, 1e-6))
         assert pursuit._regulated_speed(room_m, curvature, remaining) == pytest.approx(v)
+    fast = Pursuit(replace(PROMPT, max_v=2.0), DT)
+    fast.set_path(line())
+    assert fast._regulated_speed(9.0, 0.5, 3.0) == pytest.approx(math.sqrt(MAX_LATERAL / 0.5))
     pursuit._speeds = np.linspace(0.4, 0.0, 101)
     assert pursuit._regulated_speed(9.0, 0.0, 3.0) == pytest.approx(0.4 * 0.6)
 

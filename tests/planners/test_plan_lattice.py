@@ -18,6 +18,7 @@ from turtlebag.planners.lattice_search import (
     Floor,
     _reaches,
     _stands,
+    _steps,
     ends,
     flood,
     number_cells,
@@ -109,6 +110,28 @@ def test_cells_are_blocked_wide_or_numbered_row_by_row():
     numbers, count = number_cells(field, float(field[1, 0]), float(field[2, 0]))
     assert numbers.tolist() == [[BLOCKED, 0, WIDE], [1, WIDE, BLOCKED], [2, 3, 4]]
     assert count == 5
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_a_step_leads_to_a_cell_that_is_not_blocked_or_turns_on_a_narrow_one(near):
+    room, k = Room(1), 3
+    floor, numbers = room.args(), room.numbers
+    out, costs = np.empty((2 * N + 2, 3), dtype=np.int64), np.empty(2 * N + 2)
+    for (r, c), number in np.ndenumerate(numbers):
+        if number == BLOCKED:
+            continue
+        expected = [] if number == WIDE else [((r, c, (k + turn) % N), TURN) for turn in (1, -1)]
+        for h, way in itertools.product(range(N) if number == WIDE else (k,), (1, -1)):
+            dc, dr = HEADINGS[h].tolist()
+            r1, c1 = r + way * dr, c + way * dc
+            inside = 0 <= r1 < numbers.shape[0] and 0 <= c1 < numbers.shape[1]
+            if not inside or numbers[r1, c1] == BLOCKED or (near and max(abs(dc), abs(dr)) > 1):
+                continue
+            if way == 1 or not number == WIDE == numbers[r1, c1]:
+                expected.append(((r1, c1, h), math.hypot(dc, dr) * (1.0 if way == 1 else BACKWARDS)))
+        n = _steps(floor, r, c, k, near, out, costs)
+        found = zip(map(tuple, out[:n].tolist()), costs[:n].tolist(), strict=True)
+        assert sorted(found) == sorted(expected)
 
 
 @pytest.mark.slow

@@ -120,6 +120,15 @@ def test_dwa_looks_at_the_floor_with_room_to_turn_and_else_with_less():
     controller._look_at(T @ SE2.from_xyt(-9.0, 99.0, 0.0), Costmap(lethal, RES, T))
 
 
+def test_dwa_takes_what_lies_beyond_the_floor_for_its_edge():
+    controller, costmap = dwa(), Costmap(np.zeros((20, 30), dtype=bool), RES, SE2.identity())
+    controller.set_path(SE2.from_xyt(np.array([0.51, -0.3, 9.0]), np.array([0.01, 0.51, 9.0]), np.zeros(3)))
+    controller._look_at(SE2.from_xyt(0.5, 0.5, 0.0), costmap)
+    on = np.zeros((20, 30), dtype=bool)
+    on[[0, 10, 19], [10, 0, 29]] = True
+    np.testing.assert_array_equal(controller._to_path, distance_field(on, RES))
+
+
 def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
     asked = []
 

@@ -11,16 +11,18 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, joined, without
+from turtlebag.pipeline.slam.growing_loops import GrowingLoops
+from turtlebag.pipeline.slam.loop_search import Loop, LoopConfig
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.range_noise import RangeNoise
 from turtlebag.pipeline.slam.slam import run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
-from turtlebag.pipeline.slam.tracker import Tracker
+from turtlebag.pipeline.slam.tracker import Tracker, track_log
 from turtlebag.pipeline.slam.wheels import Wheels
 
 TRUE = around_the_room(240, laps=3)
@@ -194,7 +196,7 @@ def test_scans_that_a_later_one_tells_more_of_move_on_the_trajectory_as_on_the_t
     np.testing.assert_allclose(mapper.trajectory.poses.xyt[moved], np.tile(there, (len(moved), 1)), atol=1e-6)
 
 
-def test_the_odometry_is_calibrated_at_25_key_scans_and_whenever_they_have_doubled(monkeypatch):
+def test_the_odometry_is_calibrated_at_25_key_scans_whenever_they_have_doubled_and_at_the_end(monkeypatch):
     asked = []
 
     def calibrate(clouds, keys, T_track_keys, T_odom_keys):
@@ -203,11 +205,34 @@ def test_the_odometry_is_calibrated_at_25_key_scans_and_whenever_they_have_doubl
 
     monkeypatch.setattr(tracker_module, "calibrate", calibrate)
     config = TrackingConfig(key_distance_m=0.1)
-    tracker = Tracker(make_clouds(LOG, 8.0, noise=NOISE), LOG, config, 8.0, Wheels)
+    clouds = make_clouds(LOG, 8.0, noise=NOISE)
+    tracker = Tracker(clouds, LOG, config, 8.0, Wheels)
     for _ in range(len(LOG) - 1):
         tracker.step(0.2)
     assert 200 < len(tracker.keys) < 400
     assert asked == [25, 50, 100, 200]
+    asked.clear()
+    track = track_log(LOG, clouds, config, 8.0, range(1, len(LOG)), Wheels)
+    assert asked == [25, 50, 100, 200, len(track.keys)]
+
+
+@pytest.mark.parametrize("found", [False, True])
+def test_keys_that_wait_and_the_loop_found_are_the_same_when_others_have_gone(found):
+    clouds, every = make_clouds(first(12), 8.0, noise=NOISE), np.arange(12)
+    loops = GrowingLoops(clouds, TRUE[0], LoopConfig(every=4))
+    for k, step in enumerate(SE2(TRUE[:12]).steps()):
+        scans = KeyScans(clouds, every[: k + 2])
+        loops.add_key(scans, step, [Constraint(0, 1, step, 1e4 * np.eye(3), "step")])
+    assert list(loops._waiting) == [4, 8]
+    if found:
+        loops._found = Loop(10, 2, np.zeros(3), 1.0, 1.0, 0.0, 1.0, "accepted", np.eye(3))
+    stays = loops.needed() | (every == 11)
+    loops.keep(stays, KeyScans(clouds, every[stays]))
+    np.testing.assert_allclose(loops.poses, TRUE[:12][stays], atol=1e-6)
+    kept = loops.scans.keys
+    assert kept[list(loops._waiting)].tolist() == [4, 8]
+    assert (loops._found and kept[[loops._found.i, loops._found.j]].tolist()) == ([10, 2] if found else None)
+    assert kept.tolist() == ([0, 2, 4, 8, 10, 11] if found else [0, 4, 8, 11])
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se3 import lifted
 from turtlebag.pipeline.slam.kiss import VOXEL_M, LidarOdometry
 
 POSTS = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 2))
@@ -29,6 +30,15 @@ def test_a_guess_near_the_truth_is_led_to_it():
     answer = found.register(seen, start)
     assert np.hypot(*(answer - truth)[:2]) < 0.05
     assert answer[2] == pytest.approx(truth[2], abs=0.02)
+
+
+def test_in_space_a_guess_near_the_truth_is_led_to_it_too():
+    found, posts = LidarOdometry(max_range=8.0), np.random.default_rng(0).uniform(-3.0, 3.0, (400, 3))
+    truth = lifted(SE2.from_xyt(0.04, -0.03, 0.02))
+    truth[2, 3] = 0.05
+    found.update(posts, np.eye(4), np.eye(4))
+    answer = found.register((posts - truth[:3, 3]) @ truth[:3, :3], np.eye(4))
+    np.testing.assert_allclose(answer, truth, atol=0.01)
 
 
 def test_with_no_map_or_no_points_the_guess_is_the_answer():

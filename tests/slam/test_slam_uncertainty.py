@@ -15,16 +15,20 @@ from turtlebag.pipeline.slam.pose_graph import noise_model
 from turtlebag.pipeline.slam.track import Track
 
 
+def track_of(T, calibration):
+    """Every scan a key scan that fits."""
+    n = len(T)
+    return Track(
+        T, np.arange(n), np.ones(n), np.zeros(n), np.tile(np.eye(3), (n, 1, 1)), np.zeros(n, np.int8),
+        None, calibration, np.ones(n, dtype=bool),
+    )  # fmt: skip
+
+
 def position_sigmas(T, constraints, covariance=None):
     """With a calibration of the wheels' three shares, of so much covariance (3, 3), or without."""
     shared = ()
     if covariance is not None:
-        n = len(T)
-        track = Track(
-            T, np.arange(n), np.ones(n), np.zeros(n), np.tile(np.eye(3), (n, 1, 1)), np.zeros(n, np.int8),
-            None, Calibration(covariance=covariance), np.ones(n, dtype=bool),
-        )  # fmt: skip
-        shared = shared_errors(track, constraints, np.zeros(n))
+        shared = shared_errors(track_of(T, Calibration(covariance=covariance)), constraints, np.zeros(len(T)))
     return map_uncertainty.position_sigmas(T, constraints, shared)
 
 
@@ -133,6 +137,18 @@ def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
         apart = (apart - levers @ np.linalg.lstsq(levers, apart, rcond=None)[0]).reshape(-1, 2)
         covariance[asked] += apart[:, :, None] * apart[:, None, :]
     assert found == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[asked])[:, -1]), rel=0.01)
+
+
+def test_the_way_that_nobody_saw_before_a_log_s_end_may_be_off_by_itself():
+    T, constraints = round_trip(10)
+    steady = [replace(c, kind="steady") for c in constraints]
+    unseen = np.where(np.arange(10) >= 7, 0.3, 0.0)
+    [(of, errors)] = shared_errors(track_of(T, Calibration()), steady, unseen)
+    assert of.tolist() == [6, 7, 8]
+    for k, error in zip(of, errors, strict=True):
+        # along and across, as the step's end has them; nothing turns
+        along = SE2.from_xyt(0.0, 0.0, -steady[k].T_i_j[2]).matrix()[:2, :2]
+        np.testing.assert_allclose(error, [*(0.3 * along), [0.0, 0.0]], atol=1e-12)
 
 
 def test_one_scan_is_where_it_is():

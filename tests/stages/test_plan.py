@@ -279,7 +279,7 @@ class Line:
 
     @staticmethod
     def checkMotion(a, b):
-        return max(a, b) < 5.0 or min(a, b) > 5.0
+        return a <= b < 5.0 or 5.0 < a <= b  # it cannot drive backwards
 
 
 @pytest.mark.parametrize(
