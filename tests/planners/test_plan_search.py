@@ -87,6 +87,21 @@ def test_the_way_over_cells_is_the_grid_distances_drawn_tight(seed):
         np.testing.assert_allclose(tight[[0, -1]], path[[0, -1]])
 
 
+@pytest.mark.parametrize("radius", [0.1, 0.2, 0.3])
+def test_a_way_around_a_wall_s_end_drawn_tight_is_two_tangents_and_the_arc_between_them(radius):
+    lethal = np.zeros((60, 80), dtype=bool)
+    lethal[:30, 40] = True
+    found, end = search(Costmap(lethal, RES, SE2.identity()), radius), np.array([40.5, 29.5]) * RES
+    for start, goal in (((20, 20), (20, 60)), ((22, 15), (12, 62)), ((8, 25), (25, 70))):
+        way = np.array([found.center(start), found.center(goal)]) - end
+        far = np.linalg.norm(way, axis=1)
+        one, other = np.arctan2(way[:, 1], way[:, 0])
+        arc = (one - other) % (2.0 * math.pi) - np.arccos(radius / far).sum()
+        string = np.sqrt(far**2 - radius**2).sum() + radius * arc
+        tight = found.tightened(found.grid_path(start, goal))
+        assert path_length(tight) == pytest.approx(string, rel=2e-3)
+
+
 def test_the_planner_is_told_when_to_stop_and_the_way_over_the_cells_stands_in_for_it(monkeypatch):
     found = search(Costmap(np.zeros((50, 60), dtype=bool), RES, SE2.identity()), radius=0.1)
     start, goal = (10, 10), (30, 40)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -308,6 +309,33 @@ def test_the_newer_part_is_moved_to_where_its_best_place_says_and_the_others_sta
     assert joined.tolist() == [0, 0, 0, 1, 1, 1, 0, 0, 0]
     again, _ = place_recognition._laid_together(moved, joined, [place(7, 1, (0.2, 0.1, 0.3))])
     np.testing.assert_array_equal(again, moved)
+
+
+def test_a_place_is_looked_for_about_where_the_chain_has_it(monkeypatch):
+    """Along a line, each metre known to two: on older places as the poses say, and not a kilometre away."""
+    poses = np.column_stack([np.arange(60.0), np.zeros(60), np.zeros(60)])
+    vague = np.diag([0.25, 0.25, 1e8])
+    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), vague, "step") for k in range(59)]
+    begun = []
+
+    def seen_from(query, other):
+        return between(poses[other.middle], poses[query.middle])
+
+    def laid(query, other):
+        return [(1.0, seen_from(query, other) + np.array([away, 0.0, 0.0])) for away in (0.0, 1e3)]
+
+    def settled(scans, query, other, start, *_):
+        begun.append((start - seen_from(query, other)).tolist())
+
+    monkeypatch.setattr(place_recognition, "make_submap", lambda *of: SimpleNamespace(middle=of[3]))
+    monkeypatch.setattr(place_recognition, "similarity", lambda query, others: np.ones(len(others)))
+    monkeypatch.setattr(place_recognition, "laid_on", laid)
+    monkeypatch.setattr(place_recognition, "_settled", settled)
+    drift = drift_of(poses, steps, np.zeros(59, dtype=bool))
+    scans = KeyScans(make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(60))
+    place_recognition._candidates(scans, drift, [], PlaceRecognitionConfig(candidates=2), LoopConfig())
+    assert len(begun) > 4
+    assert not np.any(begun)
 
 
 def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
