@@ -17,6 +17,7 @@ from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.footprint import field_at, footprint_clearance, sample_footprint
 from turtlebag.planners.grid_distance import grid_distance
+from turtlebag.sim.robots import load_robot
 
 RES = 0.05
 
@@ -253,6 +254,23 @@ def test_the_best_arc_is_the_cheapest_of_all_that_can_be_stopped_in_time(changed
         assert found == plain_arc(clearance, to_goal, to_path, samples, pose, vs, ws, setting)
         chosen.add(found)
     assert len(chosen) > 4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_post_under_a_corner_is_left_as_all_samples_of_the_footprint_say(seed):
+    """A jackal's corners lie farther out than its outline's other points: there the inner ones count."""
+    robot, rng = load_robot("jackal").model, np.random.default_rng(seed)
+    samples, post = sample_footprint(robot, 0.05), np.zeros((80, 80), dtype=bool)
+    post[40, 40] = True
+    clearance = clearance_field(post, RES)
+    to_goal = grid_distance(np.ones((80, 80), dtype=bool), 40, 70, np.inf) * np.float32(RES)
+    vs, ws, setting = np.linspace(-0.3, 0.6, 7), np.linspace(-1.5, 1.5, 7), np.array(USUAL)
+    floor = ArcFloor(clearance, to_goal, clearance, RES)
+    for _ in range(30):
+        corner, yaw = robot.footprint[rng.integers(4)] * rng.uniform(0.7, 0.95, 2), rng.uniform(-3.0, 3.0)
+        pose = (*(40.5 * RES - SE2.from_xyt(0.0, 0.0, yaw) @ corner).tolist(), yaw)
+        found = best_arc(floor, samples, pose, vs, ws, ArcWeights(*USUAL))
+        assert found == plain_arc(clearance, to_goal, clearance, samples, pose, vs, ws, setting)
 
 
 def test_where_nothing_can_be_driven_the_robot_stands():
