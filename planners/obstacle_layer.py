@@ -73,7 +73,7 @@ class ObstacleLayer:
         """Let a disc of `radius` [m] out of a keep-out area; any earlier way out is closed again."""
         if self._closed.keepout is not None:
             self.static = self._closed.with_way_out(T_map_base, radius)
-            self._show(self._marked)
+            self._show(self._marks)
 
     def aim(self, pose: SE2, goal: SE2, radius: float) -> SE2:
         """Where to plan to on the way from a pose to a goal: on a map, the goal itself."""
@@ -92,7 +92,7 @@ class ObstacleLayer:
         self._show(np.zeros_like(self.static.lethal))
 
     def _show(self, marked: Mask) -> None:
-        self._marked, self.marked = marked, int(marked.sum())
+        self._marks, self.marked = marked, int(marked.sum())
         self.costmap = self._combined(marked) if self.marked else self.static
 
     def _combined(self, marked: Mask) -> Costmap:

@@ -25,8 +25,8 @@ from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
 
-# Places looked at are so far apart; after so much roaming, places are looked for again (not measured).
-SPACING_M, AGAIN_M = 0.15, 0.5
+# Places looked at are so far apart.
+SPACING_M = 0.15
 
 
 class Disambiguation:
@@ -68,7 +68,7 @@ class Disambiguation:
     def command(self, tick: Tick) -> Twist | None:
         """The command of a tick; None where no place in reach distinguishes the hypotheses."""
         here = tick.pose.xy
-        if self._in_vain is not None and np.linalg.norm(here - self._in_vain) < AGAIN_M:
+        if self._in_vain is not None and np.linalg.norm(here - self._in_vain) < SPENT_M:
             return None
         if self._runner is None:
             self._runner = self._set_out(tick.pose)

@@ -5,6 +5,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.yaml_files import config_text, read_mapping
+from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.stages.settings import load_config
 
@@ -121,3 +122,19 @@ def test_resolved_configuration_reads_back(tmp_path):
     path.write_text(config_text(Outer(name="z")))
     assert load_config(Outer, path) == Outer(name="z")
     assert read_mapping(path)["name"] == "z"
+
+
+def test_a_wrong_option_in_a_sweep_is_told_before_any_case_runs(tmp_path, capsys):
+    text = "name: a\nquestion: b\nfactors: {seed: [1]}\nresults: {s: 'r:scans'}\n"
+    text += "stages: {r: '%s --seed {seed}'}\n"
+    for command, said in (
+        ("record --world empty --telop tour", "did you mean --teleop"),
+        ("recrod", "choice: 'recrod'"),
+    ):
+        (tmp_path / "mine.yaml").write_text(text % command)
+        assert main(["sweep", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out")]) == 2
+        told = capsys.readouterr().err
+        assert "mine.yaml: stages.r: " in told
+        assert said in told
+        assert told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]

@@ -15,7 +15,6 @@ from turtlebag.pipeline.campaign.case import Where, recipes, run_case
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
-from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 
 ROOT = Path(__file__).parents[2]
@@ -207,22 +206,6 @@ def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
     said = capfd.readouterr().err
     assert said.count("make: turtlebag: bad size 98\n") == 8
     assert said.endswith("16 cases, 8 failed\n")
-
-
-def test_a_command_with_a_wrong_option_is_told_before_any_case_runs(tmp_path, capsys):
-    text = "name: a\nquestion: b\nfactors: {seed: [1]}\nresults: {s: 'r:scans'}\n"
-    text += "stages: {r: '%s --seed {seed}'}\n"
-    for command, said in (
-        ("record --world empty --telop tour", "did you mean --teleop"),
-        ("recrod", "choice: 'recrod'"),
-    ):
-        (tmp_path / "mine.yaml").write_text(text % command)
-        assert main(["sweep", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out")]) == 2
-        told = capsys.readouterr().err
-        assert "mine.yaml: stages.r: " in told
-        assert said in told
-        assert told.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
 
 
 def test_a_scheduler_that_is_not_there_leaves_nothing(tmp_path):
