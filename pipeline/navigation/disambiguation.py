@@ -66,20 +66,24 @@ class Disambiguation:
         return now_ns - self._began_ns > nanoseconds(most_s)
 
     def command(self, tick: Tick) -> Twist | None:
-        """The command of a tick; None where no place in reach distinguishes the hypotheses."""
+        """The command of a tick; None where no place that distinguishes the hypotheses can be reached.
+
+        Recovery manoeuvres do not help where the map under another hypothesis bars a free way.
+        """
         here = tick.pose.xy
         if self._in_vain is not None and np.linalg.norm(here - self._in_vain) < SPENT_M:
             return None
-        if self._runner is None:
-            self._runner = self._set_out(tick.pose)
-        self._in_vain = here if self._runner is None else None
-        if self._runner is None:
+        runner = self._runner or self._set_out(tick.pose)
+        if runner is None:
+            self._in_vain = here
             return None
-        command, verdict = self._runner.step(tick)
-        if verdict is not None:
-            self._visited.append(self._runner.goal.xy)
-            self._runner = None
-        return command
+        command, verdict = runner.step(tick)
+        over = verdict is not None or runner.recovering
+        if over:
+            self._visited.append(runner.goal.xy)
+        self._runner = None if over else runner
+        self._in_vain = here if runner.recovering else None
+        return None if runner.recovering else command
 
     def _set_out(self, pose: SE2) -> GoalRunner | None:
         """To the nearest place where two of the hypotheses differ clearly; None when there is none."""

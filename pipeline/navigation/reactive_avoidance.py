@@ -13,7 +13,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
+from turtlebag.pipeline.navigation.bump_memory import BACK_OFF_M, BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
@@ -26,7 +26,8 @@ SIDE_ROOM_M, NOSE_ROOM_M = 0.06, 0.2
 TURN_AWAY_RAD = 1.6
 # So many changes of the freer side, one after the other, count as dithering: it keeps its side.
 MOST_FLIPS = 3
-# After so long [s] about one place, within this [m], it turns to where most room is: at the sweep 20 s on.
+# After so long [s] about one place, within this [m], it turns to where most room is: at the sweep 20 s on. In
+# a corner where it cannot turn round, it drives out first.
 # With 0.5 m the worst of four drives touches something low 33 times for 17.
 RESTLESS_S, RESTLESS_M = 19.9, 0.4
 
@@ -78,16 +79,23 @@ class ReactiveAvoidance:
 
     def _tiers(self, sweep: DeskewedScan, T_odom_base: SE2, points: Array) -> Decision:
         s = sweep.sectors
-        if s.front < STOP_M or self._gap(points) < NOSE_ROOM_M:
+        barred = s.front < STOP_M or self._gap(points) < NOSE_ROOM_M
+        if self._progress.stuck(sweep.stamp_ns, T_odom_base):
+            angle = _to_most_room(T_odom_base.inverse() @ sweep.hits_odom)
+            way = self._way_out(points) if barred else 0.0
+            self._bumps.escape = Escape(sweep.stamp_ns, T_odom_base, way, angle)
+            return Decision("turn away", Twist(0.0, 0.0))
+        if barred:
             self._turn_to(1.0 if s.left > s.right else -1.0)
             side = "left" if self._turning > 0.0 else "right"
             return Decision(f"stop, turn {side}", Twist(0.0, self._turning * TURN_W))
         self._turning, self._flips = 0.0, 0
-        if self._progress.stuck(sweep.stamp_ns, T_odom_base):
-            angle = _to_most_room(T_odom_base.inverse() @ sweep.hits_odom)
-            self._bumps.escape = Escape(sweep.stamp_ns, T_odom_base, 0.0, angle)
-            return Decision("turn away", Twist(0.0, 0.0))
         return tutorial_rule(s)
+
+    def _way_out(self, points: Array) -> float:
+        """How far to drive from a place where it cannot turn: forwards, or backwards if that is freer [m]."""
+        forwards, backwards = (self.monitor.free_way(v, points, BACK_OFF_M) for v in (SLOW_V, -SLOW_V))
+        return BACK_OFF_M if forwards > backwards else -BACK_OFF_M
 
     def _turn_to(self, freer: float) -> None:
         """Turn to the freer side; after some changes of mind keep to one until the way is free."""

@@ -59,6 +59,12 @@ class CollisionMonitor:
         allowed = -b * t + math.sqrt(b * b * t * t + 2.0 * b * free * speed)
         return min(1.0, allowed / speed)
 
+    def free_way(self, v: float, points_base: Array, most: float) -> float:
+        """How far [m], up to `most`, straight driving at v is free of points (n, 2) in the base frame."""
+        points, horizon = np.ascontiguousarray(points_base), most / abs(v)
+        free = free_time(points, self._footprint, self._reach, v, 0.0, horizon, STEP_M / abs(v))
+        return abs(v) * free
+
     def _stopping_distance(self, speed: float) -> float:
         return speed * REACTION_S + 0.5 * speed * speed / self._braking
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from tests.helpers.exact_rays import rectangle
 from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, l_shaped_room
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2, wrap
-from turtlebag.datasets.types import Scan
+from turtlebag.datasets.types import Scan, Twist
 from turtlebag.pipeline.localisation.beams import prepare
 from turtlebag.pipeline.localisation.field import distance_field
 from turtlebag.pipeline.localisation.global_search import GlobalSearch
@@ -25,7 +26,11 @@ from turtlebag.pipeline.localisation.pose_hypotheses import (
     clearly_other,
 )
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.disambiguation import nearest_difference, passable_under_all
+from turtlebag.pipeline.navigation.disambiguation import (
+    Disambiguation,
+    nearest_difference,
+    passable_under_all,
+)
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
@@ -227,6 +232,24 @@ def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
     assert np.linalg.norm(other.xy - place.xy) > 0.6
     alike = aliasing_of(room(cupboard=False).grid())
     assert nearest_difference(alike, both, costmap, 0.2, start, []) is None
+
+
+def test_where_its_way_is_barred_a_comparison_roams_half_a_metre_and_then_goes_elsewhere(monkeypatch):
+    tried = []
+
+    def set_out(self, pose):
+        tried.append(list(self._visited))
+        step = lambda tick: (Twist(0.1, 0.0), None)  # noqa: E731
+        return SimpleNamespace(step=step, recovering=len(tried) == 1, goal=SE2.from_xyt(3.0, 0.0, 0.0))
+
+    monkeypatch.setattr(Disambiguation, "_set_out", set_out)
+    comparison = object.__new__(Disambiguation)
+    comparison.begin_again(0)
+    at = lambda x: comparison.command(SimpleNamespace(pose=SE2.from_xyt(x, 0.0, 0.0)))  # noqa: E731
+    assert [at(0.0), at(0.1), at(0.49)] == [None, None, None]
+    assert len(tried) == 1
+    assert [at(0.51), at(0.52)] == [Twist(0.1, 0.0), Twist(0.1, 0.0)]
+    assert [np.array(places).tolist() for places in tried] == [[], [[3.0, 0.0]]]
 
 
 def test_a_hypothesis_that_is_left_behind_over_several_scans_is_dropped():

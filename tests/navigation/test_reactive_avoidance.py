@@ -95,6 +95,20 @@ def pushing(g, **where):
     return g.decide(view(**where), pose, Twist(v, 0.0))
 
 
+@pytest.mark.parametrize(("wall", "v"), [(0.08, -0.1), (-0.17, 0.1)])
+def test_a_robot_long_in_a_corner_drives_to_the_freer_side_and_only_then_turns(wall, v):
+    g = avoidance()
+    points = np.vstack([FAR, [[wall, y] for y in np.arange(-0.2, 0.2, 0.02)]])
+    corner = Sectors(1.0, 0.3, 1.0)
+    assert g.decide(view(points, sectors=corner), HERE, Twist()).action.startswith("stop, turn")
+    assert g.decide(view(points, 19.8, sectors=corner), HERE, Twist()).action.startswith("stop, turn")
+    g.decide(view(points, 20.0, sectors=corner), HERE, Twist())
+    decision = g.decide(view(points, 20.2, sectors=corner), HERE, Twist())
+    assert (decision.action, decision.command) == ("back off", Twist(v, 0.0))
+    out = SE2.from_xyt(math.copysign(0.25, v), 0.0, 0.0)
+    assert g.decide(view(points, 22.8, sectors=corner), out, Twist()).action == "turn away"
+
+
 def test_an_interrupted_guard_forgets_what_it_was_doing_and_not_what_it_knows():
     g = avoidance()
     assert pushing(g, sectors=Sectors(2.0, 2.0, 1.0)).command == Twist(-0.1, 0.0)
