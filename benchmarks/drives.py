@@ -15,9 +15,9 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.navigation.recorder import trajectory_of
-from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.routes import RoutePlanner, random_goals
+from turtlebag.sim.script_driver import Driver
 from turtlebag.sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 

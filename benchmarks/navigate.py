@@ -31,8 +31,8 @@ from benchmarks.runner import Case, Row, Rows, Suite, interval, options, parsed,
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.runlog import RunLog
+from turtlebag.pipeline.navigation.driver_setup import prepare
 from turtlebag.pipeline.navigation.episode import Episode, drive
-from turtlebag.pipeline.navigation.setup import prepare
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.reports.metrics.navigation import GoalMetrics, collision_episodes
 from turtlebag.sim.simulator import Sensors, Simulator

@@ -16,9 +16,9 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners import lattice
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint_motions import pull
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice_search import BLOCKED, shortest
-from turtlebag.planners.oriented import pull
 from turtlebag.planners.smoothing import densify, path_length
 
 

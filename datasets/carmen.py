@@ -16,8 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.bags.plausibility import (
+    FAR_M,
+    driven_in_millimetres,
+    ranges_in_millimetres,
+    stands_still,
+)
 from turtlebag.datasets.bags.scans import Geometry, on_one_grid
-from turtlebag.datasets.bags.units import FAR_M, driven_in_millimetres, ranges_in_millimetres, stands_still
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.returns import no_return_value

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
+from turtlebag.datasets.bags.plausibility import ARM_M
 from turtlebag.datasets.bags.scans import TURNED_OVER, turned_over
 from turtlebag.datasets.bags.source import is_bag, open_bag
-from turtlebag.datasets.bags.units import ARM_M
 from turtlebag.datasets.carmen import is_carmen, parse_carmen
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import read_unpacked

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlebag.datasets.bags.units import FAR_M
+from turtlebag.datasets.bags.plausibility import FAR_M
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import lifted, planar, rotations

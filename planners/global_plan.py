@@ -22,10 +22,10 @@ from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import COST_SCALING, SNAP_M, Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, OmplConfig, solve
-from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint_motions import Ground, free_from, pull, turning
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice_search import BLOCKED, Floor, ends, flood, number_cells, shortest
-from turtlebag.planners.oriented import Ground, free_from, pull, turning
 from turtlebag.planners.smoothing import SPACING_M, densify
 
 _REACH = range(-3, 4)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.planners.footprint import Field32, footprint_free
+from turtlebag.planners.footprint_motions import Ground, drives, moves, turns
 from turtlebag.planners.grid_distance import GridDistance
-from turtlebag.planners.oriented import Ground, drives, moves, turns
 
 BLOCKED, WIDE = -1, -2
 SLIP = 4.0

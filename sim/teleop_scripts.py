@@ -21,9 +21,9 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Finite, Positive, Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
-from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.routes import EXACT_SIDE_M, SIDE_M, RoutePlanner, random_goals, route
+from turtlebag.sim.script_driver import Driver
 from turtlebag.sim.simulator import CONTROL_HZ, Truth
 from turtlebag.sim.world import World
 

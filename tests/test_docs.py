@@ -20,7 +20,7 @@ from turtlebag.datasets.yaml_files import load_model
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.cli.main import VERBS, build_parser, joined
 from turtlebag.pipeline.navigation.takeover import load_script
-from turtlebag.pipeline.slam.edits import load_edits
+from turtlebag.pipeline.slam.loop_edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.studio.journal import load_session

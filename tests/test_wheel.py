@@ -24,7 +24,7 @@ from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 from turtlebag.datasets.kernels import folders
-from turtlebag.pipeline.setup.short_chain import SCRIPT
+from turtlebag.pipeline.setup.trial_run import SCRIPT
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())

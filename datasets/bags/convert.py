@@ -23,7 +23,7 @@ from turtlebag.datasets.bags.copying import (
     to_ros1,
 )
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.messages import Topic
+from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.source import Bag, open_bag
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError

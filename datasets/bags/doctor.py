@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from turtlebag.datasets.bags.survey import Finding, Survey, TopicSurvey, survey
-from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
-from turtlebag.datasets.bags.units import (
+from turtlebag.datasets.bags.plausibility import (
     ARM_M,
     CLOCK_NS,
     directed,
@@ -19,6 +17,8 @@ from turtlebag.datasets.bags.units import (
     ranges_in_millimetres,
     stands_still,
 )
+from turtlebag.datasets.bags.survey import Finding, Survey, TopicSurvey, survey
+from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps

@@ -8,11 +8,11 @@ import numpy as np
 
 from turtlebag.datasets.bags.decode import RawScan
 from turtlebag.datasets.bags.odometry import find_odometry, in_file_order, odometry_at, sensor_matrix
+from turtlebag.datasets.bags.plausibility import stands_still
 from turtlebag.datasets.bags.scans import TURNED_OVER, assemble, turned_over
 from turtlebag.datasets.bags.source import Bag
 from turtlebag.datasets.bags.streams import Streams
 from turtlebag.datasets.bags.topics import CLOUD, SCAN
-from turtlebag.datasets.bags.units import stands_still
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording, Stamps

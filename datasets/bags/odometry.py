@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from turtlebag.datasets.bags import decode
-from turtlebag.datasets.bags.frames import BASES, FrameTree
+from turtlebag.datasets.bags.plausibility import ARM_M, CLOCK_NS, FAR_M, driven_in_millimetres, stands_still
 from turtlebag.datasets.bags.streams import Streams
-from turtlebag.datasets.bags.units import ARM_M, CLOCK_NS, FAR_M, driven_in_millimetres, stands_still
+from turtlebag.datasets.bags.tf_frames import BASES, FrameTree
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array

@@ -12,7 +12,7 @@ import numpy as np
 
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
-from turtlebag.datasets.bags.messages import Topic
+from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.bags.mcap_ranges import partial_mcap
-from turtlebag.datasets.bags.messages import Topic
-from turtlebag.datasets.bags.scan import Damage
+from turtlebag.datasets.bags.message import Topic
+from turtlebag.datasets.bags.sequential import Damage
 from turtlebag.datasets.bags.source import SUFFIXES, TRUTH_PREFIX
 from turtlebag.datasets.bags.topics import CLOUD, MAPPED, METADATA_FILE, SCAN
 from turtlebag.datasets.errors import InputError

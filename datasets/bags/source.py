@@ -10,9 +10,9 @@ import yaml
 
 from turtlebag.datasets.bags.decode import Cursor, Ros1Cursor
 from turtlebag.datasets.bags.mcap_index import MAGIC
-from turtlebag.datasets.bags.mcap_scan import McapScan
-from turtlebag.datasets.bags.messages import Message, Wanted
-from turtlebag.datasets.bags.ros1_scan import ROS1_MAGIC
+from turtlebag.datasets.bags.mcap_sequential import McapReader
+from turtlebag.datasets.bags.message import Message, Wanted
+from turtlebag.datasets.bags.ros1_sequential import ROS1_MAGIC
 from turtlebag.datasets.bags.storage import READERS, one_line
 from turtlebag.datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
 from turtlebag.datasets.errors import InputError
@@ -78,7 +78,7 @@ class Bag:
         """What the recorder noted of the recording (seed and the like), as far as it can be read."""
         if self.kind == "mcap":
             for file in self.files:
-                found = McapScan(file).leading_metadata(CUSTOM_RECORD)
+                found = McapReader(file).leading_metadata(CUSTOM_RECORD)
                 if found:
                     return found
         return self._custom

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from turtlebag.datasets.bags.mcap_scan import McapScan
-from turtlebag.datasets.bags.messages import Message, Topic, Wanted, full_type
-from turtlebag.datasets.bags.ros1_scan import Ros1Scan
-from turtlebag.datasets.bags.scan import Scan
+from turtlebag.datasets.bags.mcap_sequential import McapReader
+from turtlebag.datasets.bags.message import Message, Topic, Wanted, full_type
+from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
+from turtlebag.datasets.bags.sequential import SequentialReader
 from turtlebag.datasets.bags.topics import metadata_text
 from turtlebag.datasets.errors import InputError
 
@@ -22,13 +22,13 @@ Reader = Callable[[Path, Wanted | None, list[str], bool], Iterator[Message]]
 the reading or is stepped over."""
 
 
-def _scanned(scan_of: type[Scan]) -> Reader:
+def _front_to_back(reader_of: type[SequentialReader]) -> Reader:
     """Reads a file front to back."""
 
     def messages(path: Path, wanted: Wanted | None, notes: list[str], step_over: bool) -> Iterator[Message]:
-        scan = scan_of(path)
-        yield from scan.messages(wanted, step_over=step_over)
-        _note_problems(path, scan.state.problems, scan.state.stopped, notes)
+        file = reader_of(path)
+        yield from file.messages(wanted, step_over=step_over)
+        _note_problems(path, file.state.problems, file.state.stopped, notes)
 
     return messages
 
@@ -79,7 +79,7 @@ def _note_problems(path: Path, problems: list[str], stopped: bool, notes: list[s
 
 
 READERS: dict[str, Reader] = {
-    "mcap": _scanned(McapScan),
-    "ros1": _scanned(Ros1Scan),
+    "mcap": _front_to_back(McapReader),
+    "ros1": _front_to_back(Ros1Reader),
     "sqlite3": _sqlite3_messages,
 }

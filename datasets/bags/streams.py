@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
-from turtlebag.datasets.bags.frames import FrameTree
-from turtlebag.datasets.bags.messages import Topic
+from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
+from turtlebag.datasets.bags.tf_frames import FrameTree
 from turtlebag.datasets.bags.topics import CLOUD, IMU, MAPPED, ODOMETRY, SCAN, TRANSFORMS, typestore
 from turtlebag.datasets.types import ImuLog
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.bags import decode
-from turtlebag.datasets.bags.frames import BASES, FrameTree
-from turtlebag.datasets.bags.messages import Topic
+from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.source import Bag, open_bag
+from turtlebag.datasets.bags.tf_frames import BASES, FrameTree
 from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
 
 _SOME = 200

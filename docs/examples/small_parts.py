@@ -8,7 +8,7 @@ from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.slam.pose_graph import residuals
-from turtlebag.planners.control.interface import Ramped
+from turtlebag.planners.control.controller import Ramped
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import path_length, with_headings
@@ -77,7 +77,7 @@ class Carrot(Ramped):
         self.state, self._path = "idle", None
 
     def set_path(self, poses):
-        """As in `turtlebag.planners.control.interface.Controller`."""
+        """As in `turtlebag.planners.control.controller.Controller`."""
         self._path = poses
 
     def command(self, pose, last, costmap):

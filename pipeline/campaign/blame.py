@@ -13,7 +13,7 @@ from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.parts import PARTS
 from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, with_sensors, with_truth
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.setup import Request, prepare
+from turtlebag.pipeline.navigation.driver_setup import Request, prepare
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import track

@@ -19,11 +19,11 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Odometry, Recording, Twist
+from turtlebag.pipeline.navigation.driver_setup import Made, Mission, make_driver, prepare
 from turtlebag.pipeline.navigation.episode import Episode, drive
-from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.online_localiser import Localiser
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.navigation.setup import Made, Mission, make_driver, prepare
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.icp_odometry import Lines

@@ -128,7 +128,7 @@ def _play(args: argparse.Namespace) -> int:
     from rich.live import Live
     from rich.text import Text
 
-    from turtlebag.pipeline.terminal.drawing import terminal_size
+    from turtlebag.pipeline.terminal.braille import terminal_size
     from turtlebag.pipeline.terminal.play import Player, play
 
     columns, rows = terminal_size()

@@ -65,7 +65,7 @@ def _open3d() -> str:
 
 
 def _trial() -> str:
-    from turtlebag.pipeline.setup.short_chain import trial
+    from turtlebag.pipeline.setup.trial_run import trial
 
     return f"recorded, mapped and drove to a goal in {trial():.0f} s"
 

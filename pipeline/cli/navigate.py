@@ -28,7 +28,7 @@ EXAMPLE = (
 )
 
 
-# Not imported from turtlebag.pipeline.navigation.setup: --help need not load a simulator.
+# Not imported from turtlebag.pipeline.navigation.driver_setup: --help need not load a simulator.
 TASKS = ("goal", "patrol", "avoid", "explore")
 # Options that only some tasks take; all others go with every task.
 TAKEN_BY = {
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     from turtlebag.pipeline.navigation.config import NavigateConfig
-    from turtlebag.pipeline.navigation.setup import Request
+    from turtlebag.pipeline.navigation.driver_setup import Request
     from turtlebag.pipeline.stages.navigate import navigate
     from turtlebag.pipeline.stages.settings import load_config
     from turtlebag.pipeline.terminal.messages import say

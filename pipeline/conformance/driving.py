@@ -20,11 +20,11 @@ from turtlebag.pipeline.conformance.room import (
 )
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver import Task, require_task
+from turtlebag.pipeline.navigation.driver_setup import Mission, Request
 from turtlebag.pipeline.navigation.drivers import Kit
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.navigation.setup import Mission, Request
-from turtlebag.planners.control.interface import Controller, require_twist
+from turtlebag.planners.control.controller import Controller, require_twist
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import PlanConfig, fits
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
@@ -92,7 +92,7 @@ def _planned(
 def check_controller(controller: Callable[[RobotModel, float], Controller]) -> None:
     """A path with a corner, driven by a robot that does what it is told; standing still without a path.
 
-    AssertionError in one line says what the contract, `turtlebag.planners.control.interface.Controller`,
+    AssertionError in one line says what the contract, `turtlebag.planners.control.controller.Controller`,
     asks.
     """
     model = load_robot("burger").model

@@ -24,7 +24,7 @@ from turtlebag.pipeline.conformance.room import (
     told,
     wheels,
 )
-from turtlebag.pipeline.localisation.interface import Localiser, require_estimate
+from turtlebag.pipeline.localisation.localiser import Localiser, require_estimate
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 NEAR_M, NEAR_RAD = 0.1, 0.05
@@ -35,7 +35,7 @@ def check_localiser(localiser: Callable[..., Localiser]) -> None:
     """A lap on the map of a room from a pose that is a little off, a scan of nothing, and a search.
 
     AssertionError in one line says what the contract,
-    `turtlebag.pipeline.localisation.interface.Localiser`, asks.
+    `turtlebag.pipeline.localisation.localiser.Localiser`, asks.
     """
     poses = lap()
     odometry, ranges = wheels(poses), ranges_from(poses)

@@ -12,7 +12,7 @@ from turtlebag.datasets.parts import chosen, part_of, require_attributes
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.localisation.interface import Localiser
+from turtlebag.pipeline.localisation.localiser import Localiser
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 LocaliserName = Annotated[

@@ -10,7 +10,7 @@ from turtlebag.datasets.parts import part_of
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.localisation.localisers import LocaliserName
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.navigation.explore import ExploreConfig
+from turtlebag.pipeline.navigation.explore_driver import ExploreConfig
 from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
 from turtlebag.pipeline.navigation.takeover import TakeoverConfig
 from turtlebag.planners.control.dwa import DwaConfig

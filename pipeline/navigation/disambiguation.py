@@ -18,7 +18,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.agreement import DIFFERENT
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
-from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import Localiser
 from turtlebag.planners.control.goal_checker import PASSING
 from turtlebag.planners.control.monitor import PADDING_M
 from turtlebag.planners.costmap import Costmap, ways_from

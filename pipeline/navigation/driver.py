@@ -12,7 +12,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
-from turtlebag.planners.control.interface import require_twist
+from turtlebag.planners.control.controller import require_twist
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 
 
@@ -34,8 +34,9 @@ class Task(Protocol):
     """The estimated pose on the map; None if unknown, or without a map."""
 
     def __init__(self, kit: Any, mission: Any) -> None:
-        """`kit` is a `turtlebag.pipeline.navigation.drivers.Kit`, the components of a driver; `mission` is a
-        `turtlebag.pipeline.navigation.setup.Mission`, the command's options, with the map if there is one."""
+        """`kit` holds the components of a driver (`turtlebag.pipeline.navigation.drivers.Kit`), `mission` the
+        command's options and the map, if there is one (`turtlebag.pipeline.navigation.driver_setup.Mission`).
+        """
         ...
 
     def step(self, observation: Observation) -> Twist:

@@ -17,25 +17,25 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.localisers import make_localiser
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
-from turtlebag.pipeline.navigation.avoid import AvoidDriver
+from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.goal_runner import Tools
-from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.online_localiser import Localiser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.planners.control.controller import Controller, require_twist
 from turtlebag.planners.control.dwa import Dwa
 from turtlebag.planners.control.goal_checker import PASSING
-from turtlebag.planners.control.interface import Controller, require_twist
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.obstacle_layer import ObstacleLayer
-from turtlebag.planners.rolling import RollingLayer
+from turtlebag.planners.rolling_costmap import RollingLayer
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 

@@ -13,10 +13,10 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.navigation.driver import Task
-from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
+from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
-from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from turtlebag.pipeline.navigation.status_lines import News
 from turtlebag.pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
 from turtlebag.planners.control.monitor import CollisionMonitor

@@ -10,7 +10,7 @@ from turtlebag.pipeline.localisation.agreement import SETTLING
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
-from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import Localiser
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing

@@ -9,7 +9,7 @@ from turtlebag.pipeline.slam.front_end import FrontEnd
 from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.kiss import KissIcp
 from turtlebag.pipeline.slam.tracker import Maker
-from turtlebag.pipeline.slam.wheels import Wheels
+from turtlebag.pipeline.slam.wheel_odometry import Wheels
 
 FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
 FrontEndName = Annotated[str, part_of(*FRONT_ENDS)]

@@ -12,8 +12,8 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.factors import Constraint, firm
+from turtlebag.pipeline.slam.loop_edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places, relaxed
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks

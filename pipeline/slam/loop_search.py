@@ -27,10 +27,10 @@ from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
 from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
-from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_acceptance import loop_verdict
+from turtlebag.pipeline.slam.loop_edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import GTSAM

@@ -32,8 +32,8 @@ from turtlebag.pipeline.slam.align import (
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH, Limits, partner_line, relative_pose
-from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.loop_edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.open3d_icp import match_points
 from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise
 from turtlebag.pipeline.slam.threads import in_parts

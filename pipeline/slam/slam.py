@@ -21,11 +21,11 @@ from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, KeyScans, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
+from turtlebag.pipeline.slam.loop_edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid

@@ -27,8 +27,8 @@ from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
 from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Places
 from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
-from turtlebag.pipeline.slam3d.refine import refine, reregistered
-from turtlebag.pipeline.slam3d.selfcheck import SelfCheck3d, check_map
+from turtlebag.pipeline.slam3d.refine3d import refine, reregistered
+from turtlebag.pipeline.slam3d.selfcheck3d import SelfCheck3d, check_map
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup, find_setup
 from turtlebag.pipeline.slam3d.slices import SLICE_REACH_M, SliceConfig, SliceGrid
 from turtlebag.pipeline.slam3d.surfels import INFLATION, LEAST_OVERLAP, observable

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlebag.datasets.bags.clouds import load_clouds
+from turtlebag.datasets.bags.point_clouds import load_clouds
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.trajectories import save_tum_3d

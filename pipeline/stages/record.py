@@ -21,8 +21,8 @@ from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.bag_commands import is_recording, replayed
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
-from turtlebag.sim.driver import Stuck
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
+from turtlebag.sim.script_driver import Stuck
 from turtlebag.sim.simulator import SimConfig, Simulator, Truth
 from turtlebag.sim.teleop_scripts import commands, load_script, script_names
 from turtlebag.sim.world import World

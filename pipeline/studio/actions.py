@@ -12,10 +12,15 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.navigation.driver_setup import (
+    DEFAULT_EXPLORE_S,
+    MAX_SIMULATED_S,
+    SINGLE_GOAL,
+    require_floor,
+)
 from turtlebag.pipeline.navigation.drivers import make_avoider, make_explorer, make_mapless
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
-from turtlebag.pipeline.navigation.setup import DEFAULT_EXPLORE_S, MAX_SIMULATED_S, SINGLE_GOAL, require_floor
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.pilot import Task, WiggleDriver, changes_only
 from turtlebag.pipeline.studio.run import LoadedMap, Run

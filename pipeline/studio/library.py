@@ -13,7 +13,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.yaml_files import read_mapping
-from turtlebag.pipeline.navigation.setup import require_walls
+from turtlebag.pipeline.navigation.driver_setup import require_walls
 from turtlebag.pipeline.studio.inputs import Stopover
 from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, parse_polygons, tutorial_patrol
 

@@ -17,16 +17,16 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.navigation.avoid import AvoidDriver
+from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.driver import Driver
+from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S
 from turtlebag.pipeline.navigation.drivers import Kit, make_navigator
-from turtlebag.pipeline.navigation.explore import ExploreDriver
-from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.online_localiser import Localiser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S
 from turtlebag.pipeline.slam.mapper import Mapper
-from turtlebag.planners.control.interface import SpeedLimits, ramped
+from turtlebag.planners.control.controller import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.obstacle_layer import ObstacleLayer

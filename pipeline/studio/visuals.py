@@ -13,7 +13,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.slam.factors import Constraint

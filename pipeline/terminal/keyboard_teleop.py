@@ -16,7 +16,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.terminal.drawing import Canvas, terminal_size
+from turtlebag.pipeline.terminal.braille import Canvas, terminal_size
 from turtlebag.pipeline.terminal.messages import quiet
 from turtlebag.sim.robots import Limits, RobotSpec
 from turtlebag.sim.simulator import CONTROL_HZ, Truth

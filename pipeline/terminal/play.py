@@ -16,7 +16,7 @@ from turtlebag.datasets.errors import InputError, if_there
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.terminal.drawing import Canvas, Size
+from turtlebag.pipeline.terminal.braille import Canvas, Size
 
 _WIDEST_M = 12.0
 _SPEED_WINDOW_NS = 200_000_000

@@ -15,7 +15,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
+from turtlebag.planners.control.controller import ACCELERATION_SHARE, Ramped, ramped
 from turtlebag.planners.control.monitor import moved
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import COST_SCALING, Costmap, inflated_cost_at
@@ -127,7 +127,7 @@ def numbers(config: DwaConfig, model: RobotModel) -> tuple[Window, ArcWeights]:
 
 
 class Dwa(Ramped):
-    """A controller (see turtlebag.planners.control.interface)."""
+    """A controller (see turtlebag.planners.control.controller)."""
 
     def __init__(self, model: RobotModel, config: DwaConfig, period: float) -> None:
         self._window, self._weights = numbers(config, model)

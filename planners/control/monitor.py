@@ -9,7 +9,7 @@ import numpy as np
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.interface import ACCELERATION_SHARE
+from turtlebag.planners.control.controller import ACCELERATION_SHARE
 from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
 
 STEP_M = 0.01

@@ -9,8 +9,8 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
+from turtlebag.planners.control.controller import Ramped, ramped
 from turtlebag.planners.control.goal_checker import STOPPED_V, TOLERANCES
-from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 
@@ -40,7 +40,7 @@ slower than any of the robots can brake."""
 
 
 class Pursuit(Ramped):
-    """A controller (see turtlebag.planners.control.interface)."""
+    """A controller (see turtlebag.planners.control.controller)."""
 
     def __init__(self, model: RobotModel, period: float) -> None:
         super().__init__(model, period)

@@ -10,7 +10,7 @@ from tests.helpers.bag_samples import pose, stamp, write_drive
 from tests.helpers.carmen_lines import flaser, write
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.terminal.drawing import Canvas
+from turtlebag.pipeline.terminal.braille import Canvas
 from turtlebag.pipeline.terminal.play import Player, frames, play
 
 

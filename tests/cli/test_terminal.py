@@ -10,7 +10,7 @@ import pytest
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import VERBS, main
-from turtlebag.pipeline.navigation.setup import DEFAULT_DURATION_S, DEFAULT_EXPLORE_S, SINGLE_GOAL
+from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, DEFAULT_EXPLORE_S, SINGLE_GOAL
 from turtlebag.pipeline.stages.map_summary import map_lines, tell_map
 from turtlebag.pipeline.terminal import messages as console
 from turtlebag.planners.tasks.patrol import SequenceConfig
@@ -223,5 +223,5 @@ def test_looking_at_a_bag_loads_what_reads_it_and_no_more(tmp_path):
 
 @pytest.mark.slow
 def test_a_drive_loads_no_pose_graph_and_no_plots():
-    modules = "import turtlebag.pipeline.stages.navigate, turtlebag.pipeline.navigation.setup"
+    modules = "import turtlebag.pipeline.stages.navigate, turtlebag.pipeline.navigation.driver_setup"
     assert not loaded_after(modules) & {"gtsam", "open3d", "matplotlib", "duckdb"}

@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, S
 from turtlebag.datasets.bags import doctor
 from turtlebag.datasets.bags.decode import RawTransform
-from turtlebag.datasets.bags.messages import Topic, full_type
+from turtlebag.datasets.bags.message import Topic, full_type
 from turtlebag.datasets.bags.survey import ScanSurvey, Survey, TopicSurvey
 
 IMU = "sensor_msgs/msg/Imu"

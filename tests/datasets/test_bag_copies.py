@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.helpers.foreign_bags import CLOUD, ODOMETRY, STORE, TF, TYPES, S, header, odometry, write_foreign
-from turtlebag.datasets.bags.clouds import _seconds, _time_field, decode_cloud, load_clouds
 from turtlebag.datasets.bags.convert import carmen_to_mcap, require_messages
 from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, is_latched
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
-from turtlebag.datasets.bags.messages import Message, Topic
+from turtlebag.datasets.bags.message import Message, Topic
+from turtlebag.datasets.bags.point_clouds import _seconds, _time_field, decode_cloud, load_clouds
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.storage import _note_problems

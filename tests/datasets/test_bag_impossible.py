@@ -5,7 +5,7 @@ import pytest
 
 from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
 from turtlebag.datasets.bags.doctor import examine
-from turtlebag.datasets.bags.units import driven_in_millimetres, ranges_in_millimetres
+from turtlebag.datasets.bags.plausibility import driven_in_millimetres, ranges_in_millimetres
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.cli.main import main

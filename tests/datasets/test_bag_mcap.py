@@ -10,7 +10,7 @@ from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_mcap
 from turtlebag.datasets.bags.folder import CHUNK_BYTES, BagFolder
 from turtlebag.datasets.bags.mcap_index import HEAD, MAGIC
-from turtlebag.datasets.bags.mcap_scan import McapScan
+from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
@@ -64,7 +64,7 @@ def test_files_of_the_official_writer(drive, tmp_path, chunking, compression):
 
 
 def test_metadata_and_state_of_a_whole_file(drive, tmp_path):
-    scan = McapScan(rewritten(drive, tmp_path / "a.mcap"))
+    scan = McapReader(rewritten(drive, tmp_path / "a.mcap"))
     count = sum(1 for _ in scan.messages())
     assert scan.state.complete
     assert scan.state.claimed == scan.state.messages == count
@@ -80,7 +80,7 @@ def test_messages_may_be_empty_and_times_unordered(tmp_path):
         for never in (-1, 2**64):
             with pytest.raises(ValueError, match="not a valid message time"):
                 bag.write(channel, never, b"")
-    scan = McapScan(tmp_path / "a" / "bag_0.mcap")
+    scan = McapReader(tmp_path / "a" / "bag_0.mcap")
     assert [time for _, time, _ in scan.messages()] == times
     assert scan.state.problems == []
     information = yaml.safe_load((tmp_path / "a/metadata.yaml").read_text())["rosbag2_bagfile_information"]
@@ -90,7 +90,7 @@ def test_messages_may_be_empty_and_times_unordered(tmp_path):
 
 def test_a_bag_without_messages_is_whole(tmp_path):
     BagFolder(tmp_path / "a", custom={}).close()
-    scan = McapScan(tmp_path / "a" / "bag_0.mcap")
+    scan = McapReader(tmp_path / "a" / "bag_0.mcap")
     assert list(scan.messages()) == []
     assert scan.state.complete
     assert scan.state.problems == []
@@ -127,7 +127,7 @@ def test_what_an_error_leaves_holds_its_messages_and_no_end(tmp_path):
         for time, data in told:
             bag.write(channel, time, data)
         raise RuntimeError
-    scan = McapScan(tmp_path / "a" / "bag_0.mcap")
+    scan = McapReader(tmp_path / "a" / "bag_0.mcap")
     assert [(time, data) for _, time, data in scan.messages()] == told
     assert not scan.state.complete
     assert "without its index" in scan.state.problems[0]
@@ -138,6 +138,6 @@ def test_what_an_error_leaves_holds_its_messages_and_no_end(tmp_path):
 def test_a_message_shorter_than_its_own_head_is_damage(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(MAGIC + HEAD.pack(Opcode.MESSAGE, 4) + b"\0\0\0\0")
-    scan = McapScan(path)
+    scan = McapReader(path)
     assert list(scan.messages()) == []
     assert scan.state.problems[0].startswith("damaged at byte 8")

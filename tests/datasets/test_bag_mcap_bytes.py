@@ -7,8 +7,8 @@ import lz4.frame
 import pytest
 import zstandard
 
-from turtlebag.datasets.bags.mcap_scan import McapScan
-from turtlebag.datasets.bags.messages import Topic
+from turtlebag.datasets.bags.mcap_sequential import McapReader
+from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -73,7 +73,7 @@ def whole(parts, *, count=None, crc=None, summary_crc=None, footer=True):
 def read(tmp_path, content, wanted=None, **options):
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
-    scan = McapScan(path)
+    scan = McapReader(path)
     found = [(channel.name, time, data) for channel, time, data in scan.messages(wanted, **options)]
     return found, scan.state, scan
 

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers.foreign_bags import ODOMETRY, TF, S, odometry, tf, transform, write_foreign
 from turtlebag.datasets.bags.decode import RawTransform
-from turtlebag.datasets.bags.frames import FrameTree, matrix
 from turtlebag.datasets.bags.odometry import (
     OdometrySource,
     _increasing,
@@ -24,6 +23,7 @@ from turtlebag.datasets.bags.odometry import (
 )
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.bags.tf_frames import FrameTree, matrix
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory

@@ -8,9 +8,9 @@ from rosbags.rosbag1 import Reader, Writer
 from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_ros1_bag
 from turtlebag.datasets.bags.doctor import examine
-from turtlebag.datasets.bags.mcap_scan import McapScan
+from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.recover import recover
-from turtlebag.datasets.bags.ros1_scan import Ros1Scan
+from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
@@ -125,7 +125,7 @@ def test_an_old_version_is_one_clear_line(tmp_path):
         load_recording(path)
 
 
-@pytest.mark.parametrize("scan", [Ros1Scan, McapScan])
+@pytest.mark.parametrize("scan", [Ros1Reader, McapReader])
 def test_an_empty_file_is_said_to_be_empty(tmp_path, scan):
     (tmp_path / "none").touch()
     with pytest.raises(InputError, match=r"none: the file is empty"):

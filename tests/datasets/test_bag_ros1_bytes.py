@@ -6,8 +6,8 @@ import struct
 import lz4.frame
 import pytest
 
-from turtlebag.datasets.bags.messages import Topic
-from turtlebag.datasets.bags.ros1_scan import Ros1Scan
+from turtlebag.datasets.bags.message import Topic
+from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
 from turtlebag.datasets.errors import InputError
 
 
@@ -50,7 +50,7 @@ def ros1_head(index, chunks):
 def ros1_read(tmp_path, parts, wanted=None, **options):
     path = tmp_path / "x.bag"
     path.write_bytes(START + b"".join(parts))
-    scan = Ros1Scan(path)
+    scan = Ros1Reader(path)
     return [(c.name, time, data) for c, time, data in scan.messages(wanted, **options)], scan.state
 
 
@@ -135,4 +135,4 @@ def test_a_ros1_bag_that_is_cut_gives_what_is_there(tmp_path):
         assert "the file ends inside a record" in state.problems[0]
     (tmp_path / "y.bag").write_bytes(b"#ROSBAG V1.2\n" * 3)
     with pytest.raises(InputError, match="not a ROS 1 bag"):
-        Ros1Scan(tmp_path / "y.bag")
+        Ros1Reader(tmp_path / "y.bag")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from turtlebag.datasets.bags import units
+from turtlebag.datasets.bags import plausibility
 from turtlebag.datasets.carmen import (
     _in_metres,
     _laser_pose,
@@ -128,18 +128,18 @@ def test_beams_have_directions_from_finite_angles_a_real_step_apart():
         ((0.0, -9e-6, 3), False), ((0.0, 0.0, 1), True), ((0.0, -math.pi, 2), True), ((0.0, 3.15, 2), False),
         ((0.0, 0.01, 0), False), ((math.nan, 0.01, 3), False), ((0.0, math.inf, 1), False),
     ):  # fmt: skip
-        assert units.directed(*angles) == expected
+        assert plausibility.directed(*angles) == expected
 
 
 def test_clocks_and_places_that_cannot_be():
-    assert [units.stands_still(s) for s in ([5, 5], [5, 6, 5], [5], [])] == [True, False, False, False]
-    assert [units.far_away(p) for p in ((0, 1, 2), (0, -1e8, 0), (0, 9.9e7, 0), (math.nan, 0, 0))] == [
+    assert [plausibility.stands_still(s) for s in ([5, 5], [5, 6, 5], [5], [])] == [True, False, False, False]
+    assert [plausibility.far_away(p) for p in ((0, 1, 2), (0, -1e8, 0), (0, 9.9e7, 0), (math.nan, 0, 0))] == [
         False,
         True,
         False,
         True,
     ]
-    assert [units.limits_in_millimetres(m) for m in (1000.0, 1000.1)] == [False, True]
+    assert [plausibility.limits_in_millimetres(m) for m in (1000.0, 1000.1)] == [False, True]
 
 
 def test_ranges_are_millimetres_when_most_are_longer_than_any_lidar_sees():
@@ -153,7 +153,7 @@ def test_ranges_are_millimetres_when_most_are_longer_than_any_lidar_sees():
         (np.r_[ramp, np.full(900, 3600.0)], 3500.0, True),
         (np.r_[np.full(900, 600.0), 610.0, 640.0], 8.0, False),
     ):  # fmt: skip
-        assert units.ranges_in_millimetres(ranges, top) == expected
+        assert plausibility.ranges_in_millimetres(ranges, top) == expected
 
 
 def test_a_drive_is_in_millimetres_when_seconds_of_it_are_faster_than_any_robot():
@@ -162,18 +162,18 @@ def test_a_drive_is_in_millimetres_when_seconds_of_it_are_faster_than_any_robot(
     def at(speed, of=stamps):
         return np.column_stack([of * 1e-9 * speed * 0.6, of * 1e-9 * speed * 0.8])
 
-    assert units.driven_in_millimetres(stamps, at(50.1))
-    assert not units.driven_in_millimetres(stamps, at(49.9))
+    assert plausibility.driven_in_millimetres(stamps, at(50.1))
+    assert not plausibility.driven_in_millimetres(stamps, at(49.9))
     mixed = np.random.default_rng(4).permutation(len(stamps))
-    assert units.driven_in_millimetres(stamps[mixed], at(50.1)[mixed])
-    assert not units.driven_in_millimetres(stamps[mixed], at(49.9)[mixed])
+    assert plausibility.driven_in_millimetres(stamps[mixed], at(50.1)[mixed])
+    assert not plausibility.driven_in_millimetres(stamps[mixed], at(49.9)[mixed])
     # one leap is none: nine seconds in ten are slow
     leap = at(1.0)
     leap[150:] += 5000.0
-    assert not units.driven_in_millimetres(stamps, leap)
-    assert not units.driven_in_millimetres(stamps[:10], at(500.0)[:10])
-    assert units.driven_in_millimetres(stamps[:11], at(500.0)[:11])
-    assert not units.driven_in_millimetres(stamps[:1], at(500.0)[:1])
+    assert not plausibility.driven_in_millimetres(stamps, leap)
+    assert not plausibility.driven_in_millimetres(stamps[:10], at(500.0)[:10])
+    assert plausibility.driven_in_millimetres(stamps[:11], at(500.0)[:11])
+    assert not plausibility.driven_in_millimetres(stamps[:1], at(500.0)[:1])
     sparse = np.array([0, 10, 20]) * 10**9
-    assert units.driven_in_millimetres(sparse, at(60.0, sparse))
-    assert not units.driven_in_millimetres(sparse, at(40.0, sparse))
+    assert plausibility.driven_in_millimetres(sparse, at(60.0, sparse))
+    assert not plausibility.driven_in_millimetres(sparse, at(40.0, sparse))

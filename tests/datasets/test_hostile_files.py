@@ -16,8 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 from tests.helpers.bag_samples import write_drive
 from tests.helpers.foreign_bags import laser_scan
 from turtlebag.datasets import files
-from turtlebag.datasets.bags import mcap_scan, ros1_scan
-from turtlebag.datasets.bags.scan import Damage
+from turtlebag.datasets.bags import mcap_sequential, ros1_sequential
+from turtlebag.datasets.bags.sequential import Damage
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import read_unpacked
@@ -62,14 +62,14 @@ def test_chunks_are_unpacked_to_what_they_claim_and_no_further(monkeypatch):
     for name, packed in (("lz4", lz4.frame.compress(records)), ("zstd", zstandard.compress(records))):
         body = head + struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(packed)) + packed
         with pytest.raises(Damage, match="wrong size"):
-            mcap_scan._unpack_chunk(body)
+            mcap_sequential._unpack_chunk(body)
     for name, packed in (("lz4", lz4.frame.compress(records)), ("bz2", bz2.compress(records))):
         header = {"compression": name.encode(), "size": struct.pack("<I", 1000)}
         with pytest.raises(Damage, match="wrong size"):
-            ros1_scan._unpacked(header, packed, len(packed))
+            ros1_sequential._unpacked(header, packed, len(packed))
     monkeypatch.setattr(files, "HARMLESS_BYTES", 1 << 10)
     with pytest.raises(Damage, match="impossible size"):
-        ros1_scan._unpacked({**header, "size": struct.pack("<I", 1 << 20)}, packed, len(packed))
+        ros1_sequential._unpacked({**header, "size": struct.pack("<I", 1 << 20)}, packed, len(packed))
 
 
 def test_a_bag_of_which_every_chunk_is_large_is_not_read_to_its_end(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags import mcap_index, mcap_ranges
 from turtlebag.datasets.bags.mcap_ranges import partial_mcap
-from turtlebag.datasets.bags.mcap_scan import McapScan
+from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
@@ -54,7 +54,7 @@ def with_pictures(folder, *, pictures=20):
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2")
-        for count, (channel, time, data) in enumerate(McapScan(folder / "drive/bag_0.mcap").messages()):
+        for count, (channel, time, data) in enumerate(McapReader(folder / "drive/bag_0.mcap").messages()):
             if channel.name not in channels:
                 schema = writer.register_schema(channel.msgtype, "ros2msg", channel.definition.encode())
                 qos = {"offered_qos_profiles": channel.qos, "topic_type_hash": channel.type_hash}
@@ -141,7 +141,7 @@ def test_point_clouds_come_only_where_nothing_else_is_mapped(tmp_path, memory):
 
     def topics(name, *asked):
         return [
-            c.name for c, _, _ in McapScan(brought(f"memory://{name}", tmp_path / "here", asked)).messages()
+            c.name for c, _, _ in McapReader(brought(f"memory://{name}", tmp_path / "here", asked)).messages()
         ]
 
     assert topics("2.mcap") == ["/LaserScan"]

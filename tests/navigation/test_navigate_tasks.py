@@ -8,7 +8,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli import navigate as navigate_command
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.navigation import setup
+from turtlebag.pipeline.navigation import driver_setup
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, parse_waypoint, tutorial_patrol
 
@@ -27,7 +27,7 @@ def test_the_tutorial_patrol_is_the_eight_waypoints_in_order():
 
 
 def test_the_command_offers_the_tasks_there_are():
-    assert set(navigate_command.TASKS) == set(setup.TASKS)
+    assert set(navigate_command.TASKS) == set(driver_setup.TASKS)
 
 
 GIVEN = {

@@ -10,6 +10,7 @@ import pytest
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.driver_setup import Request, prepare
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.navigator import LOST
 from turtlebag.pipeline.navigation.relocalisation_states import (
@@ -19,7 +20,6 @@ from turtlebag.pipeline.navigation.relocalisation_states import (
     RelocaliseConfig,
     State,
 )
-from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.sim.faults import FaultConfig

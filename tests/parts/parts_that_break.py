@@ -11,7 +11,7 @@ from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import Gtsam
-from turtlebag.pipeline.slam.wheels import Wheels
+from turtlebag.pipeline.slam.wheel_odometry import Wheels
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.global_plan import OmplPlanner
 from turtlebag.planners.planner import NoPath

@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam.front_end import FrontEnd
 from turtlebag.pipeline.slam.pose_graph import Gtsam
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
-from turtlebag.planners.control.interface import Controller
+from turtlebag.planners.control.controller import Controller
 from turtlebag.reports.stages import changed_parts, load_stage
 from turtlebag.sim.worlds import load_world, own_files
 

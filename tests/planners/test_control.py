@@ -8,9 +8,9 @@ from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Twist
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
+from turtlebag.planners.control.controller import SpeedLimits, ramped
 from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
-from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import (
     CollisionMonitor,
     depth_inside,

@@ -12,7 +12,7 @@ from turtlebag.planners.costmap import SNAP_M, Costmap, clearance_field, nearest
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.obstacle_layer import NEVER, Beams, Marking, ObstacleLayer, _mark_and_clear
-from turtlebag.planners.rolling import (
+from turtlebag.planners.rolling_costmap import (
     RIM_M,
     RollingLayer,
     _free_floor,

@@ -9,6 +9,7 @@ import pytest
 
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.footprint_motions import Ground, drives, moves, turns
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice import BACKWARDS, TURN
 from turtlebag.planners.lattice_search import (
@@ -24,7 +25,6 @@ from turtlebag.planners.lattice_search import (
     number_cells,
     shortest,
 )
-from turtlebag.planners.oriented import Ground, drives, moves, turns
 
 RES = 0.05
 SHAPE = np.array([[-0.15, -0.06], [0.07, -0.06], [0.07, 0.06], [-0.15, 0.06]])

@@ -10,8 +10,8 @@ from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.planners import lattice
+from turtlebag.planners.control.controller import ramped
 from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
-from turtlebag.planners.control.interface import ramped
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.footprint import footprint_free

@@ -10,6 +10,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.planners import global_plan
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.global_plan import (
     NoPath,
     PlanConfig,
@@ -21,7 +22,6 @@ from turtlebag.planners.global_plan import (
 )
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.ompl_planner import _bounds, iteration_limit
-from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.smoothing import densify, path_length, shortcut
 
 RES = 0.05

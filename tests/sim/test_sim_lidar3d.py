@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from turtlebag.datasets.bags.clouds import load_clouds
+from turtlebag.datasets.bags.point_clouds import load_clouds
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.sim.driver import Stuck
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.routes import EXACT_SIDE_M, ROUTES, RoutePlanner, random_goals, route
+from turtlebag.sim.script_driver import Stuck
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.teleop_scripts import Script, commands, load_script, script_names
 from turtlebag.sim.worlds import load_world

@@ -23,7 +23,7 @@ from turtlebag.pipeline.slam.range_noise import RangeNoise
 from turtlebag.pipeline.slam.slam import run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
 from turtlebag.pipeline.slam.tracker import Tracker, track_log
-from turtlebag.pipeline.slam.wheels import Wheels
+from turtlebag.pipeline.slam.wheel_odometry import Wheels
 
 TRUE = around_the_room(240, laps=3)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))

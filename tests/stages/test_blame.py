@@ -17,8 +17,8 @@ from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, with_sensors, with_truth
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.driver_setup import Request, prepare
 from turtlebag.pipeline.navigation.metrics import goal_of
-from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.planners.tasks.patrol import GoalOutcome
 from turtlebag.planners.tasks.waypoints import Waypoint

@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, Request, prepare
+from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S, Request, prepare
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.sim.robots import load_robot

@@ -24,7 +24,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Imu, Observation, Scan
-from turtlebag.pipeline.localisation.interface import Localiser as AnyLocaliser
+from turtlebag.pipeline.localisation.localiser import Localiser as AnyLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 from turtlebag.pipeline.slam.slam import SlamConfig

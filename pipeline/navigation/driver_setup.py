@@ -25,7 +25,7 @@ from turtlebag.pipeline.navigation.drivers import (
     make_navigator,
 )
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
-from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import Localiser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing

@@ -10,8 +10,8 @@ import struct
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 
-from turtlebag.datasets.bags.messages import Message, Topic, Wanted, full_type
-from turtlebag.datasets.bags.scan import Damage, Scan, State, unpacked_chunk
+from turtlebag.datasets.bags.message import Message, Topic, Wanted, full_type
+from turtlebag.datasets.bags.sequential import Damage, SequentialReader, State, unpacked_chunk
 from turtlebag.datasets.bags.topics import TOPICS, metadata_text
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
@@ -32,7 +32,7 @@ class Ros1State(State):
     claimed_chunks: int = 0
 
 
-class Ros1Scan(Scan):
+class Ros1Reader(SequentialReader):
     """One ROS 1 bag."""
 
     MAGIC = ROS1_MAGIC

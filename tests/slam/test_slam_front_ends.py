@@ -24,7 +24,7 @@ from turtlebag.pipeline.slam.loop_search import MATCHERS
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps, run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
 from turtlebag.pipeline.slam.tracker import Tracker, track_log
-from turtlebag.pipeline.slam.wheels import Wheels
+from turtlebag.pipeline.slam.wheel_odometry import Wheels
 
 TRUTH = around_the_room(75, laps=1.3)
 ERRORS_M = {"lines": 0.008, "kiss_icp": 0.012, "wheels": 0.012}

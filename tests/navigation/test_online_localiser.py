@@ -7,7 +7,7 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Twist
-from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import Localiser
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer
 
 TICK_NS = 200_000_000

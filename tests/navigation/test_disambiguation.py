@@ -31,13 +31,13 @@ from turtlebag.pipeline.navigation.disambiguation import (
     nearest_difference,
     passable_under_all,
 )
+from turtlebag.pipeline.navigation.driver_setup import Request
+from turtlebag.pipeline.navigation.driver_setup import prepare as prepare_mission
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
-from turtlebag.pipeline.navigation.setup import Request
-from turtlebag.pipeline.navigation.setup import prepare as prepare_mission
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import plan_path
 from turtlebag.sim import shapes

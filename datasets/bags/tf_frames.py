@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from turtlebag.datasets.bags.decode import RawTransform
-from turtlebag.datasets.bags.units import far_away
+from turtlebag.datasets.bags.plausibility import far_away
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import rotations
 

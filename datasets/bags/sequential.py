@@ -16,7 +16,7 @@ from typing import ClassVar
 import lz4.frame
 import zstandard
 
-from turtlebag.datasets.bags.messages import Message, Wanted
+from turtlebag.datasets.bags.message import Message, Wanted
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes, Unpacked
 
@@ -33,7 +33,7 @@ class State:
     stopped: bool = False
 
 
-class Scan(ABC):
+class SequentialReader(ABC):
     """One file, read sequentially; `state` fills while messages are drawn."""
 
     MAGIC: ClassVar[bytes]

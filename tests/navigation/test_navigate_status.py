@@ -10,7 +10,7 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Twist
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.navigation.avoid import AvoidDriver
+from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.terminal.messages import length
 from turtlebag.planners.tasks.avoid import AvoidConfig, Sectors, in_words

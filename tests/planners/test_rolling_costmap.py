@@ -12,7 +12,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
-from turtlebag.planners.rolling import RollingLayer
+from turtlebag.planners.rolling_costmap import RollingLayer
 
 NOTHING = np.zeros((0, 2))
 

@@ -9,7 +9,7 @@ from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
-from turtlebag.planners.control.interface import SpeedLimits, ramped
+from turtlebag.planners.control.controller import SpeedLimits, ramped
 from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, decision_line, tutorial_rule
 from turtlebag.sim.robots import PERIOD_S
 

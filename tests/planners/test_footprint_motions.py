@@ -9,8 +9,8 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import disc_segment_free, field_at, footprint_free
+from turtlebag.planners.footprint_motions import Ground, drives, free_from, moves, pull, turning, turns
 from turtlebag.planners.grid_distance import descend, grid_distance
-from turtlebag.planners.oriented import Ground, drives, free_from, moves, pull, turning, turns
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
 
 RES = 0.05
