@@ -49,7 +49,11 @@ def path_of(module: str) -> str:
 
 @cache
 def imported(path: Path) -> set[str]:
-    """Modules of ours that a file imports, as paths: type-only imports and those in functions count."""
+    """Modules of ours that a file imports, as paths.
+
+    Imports for types only and those in functions count, and modules that a string names, which is how
+    `importlib` is asked for one.
+    """
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -57,6 +61,9 @@ def imported(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             found |= {node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Constant) and re.fullmatch(r"turtlebag(\.\w+)+", str(node.value)):
+            found.add(str(node.value))
+    assert "turtlebag" not in found, f"{path}: imports the public API"
     ours = {path_of(name) for name in found if name.startswith("turtlebag.")}
     return {name for name in ours if (ROOT / f"{name}.py").is_file()}
 

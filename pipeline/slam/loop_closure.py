@@ -24,7 +24,7 @@ Progress = Callable[[Iterable[int], str, int], Iterable[int]]
 @dataclass(frozen=True, eq=False)
 class Closed:
     """Poses of the key scans with loops closed, the steps (those over bridged breaks without a say) and
-    loops that hold them, the records of all candidates, and the breaks nothing mends (keys - 1,)."""
+    loops that hold them, the records of all candidates, and the breaks that no loop bridges (keys - 1,)."""
 
     T_map_keys: SE2
     steps: list[Constraint]

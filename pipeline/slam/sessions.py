@@ -31,7 +31,7 @@ BORDER = np.diag([25.0, 25.0, 100.0])
 @dataclass(frozen=True, eq=False)
 class Graph:
     """The graph of a session: key poses, the final constraints, the records of all candidates for loops,
-    and the breaks of the log that nothing mends (keys - 1,)."""
+    and the breaks of the log that no loop bridges (keys - 1,)."""
 
     T_map_keys: SE2
     constraints: list[Constraint]

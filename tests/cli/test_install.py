@@ -1,4 +1,4 @@
-"""`make setup` stopped half-way, and with a package mirror that does not answer: the same make mends it.
+"""`make setup` stopped half-way, and with a package mirror that does not answer: the same make repairs it.
 
 A stand-in for Python and pip, so that nothing is fetched: what it does next stands in a file.
 """

@@ -8,7 +8,6 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import carmen_to_mcap, to_mcap, to_ros1_bag, to_sqlite3
 from turtlebag.datasets.bags.copying import into_mcap
 from turtlebag.datasets.bags.folder import BagFolder
@@ -17,13 +16,6 @@ from turtlebag.datasets.bags.topics import definition
 from turtlebag.datasets.recordings import load_recording
 
 RADISH = Path(__file__).parents[3] / "shared" / "data" / "radish"
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drive") / "bag"
-    write_drive(folder, seconds=5, navigation=True)
-    return folder
 
 
 def contents(path):

@@ -13,7 +13,6 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
@@ -92,13 +91,6 @@ def cuts(content, rng):
 def flips(content, rng):
     places = zip(rng.integers(0, len(content), DAMAGES), rng.integers(1, 256, DAMAGES), strict=True)
     return [content[:k] + bytes([content[k] ^ int(bits)]) + content[k + 1 :] for k, bits in places]
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drive") / "bag"
-    write_drive(folder, seconds=6)
-    return folder
 
 
 @pytest.mark.slow

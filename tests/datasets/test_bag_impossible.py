@@ -1,4 +1,4 @@
-"""Clocks that stand, two lasers in one, millimetres, absurd places: the doctor names, mapping mends them."""
+"""Stopped clocks, two lasers on one topic, millimetres, absurd places: reported, and fixed for mapping."""
 
 import numpy as np
 import pytest

@@ -6,7 +6,6 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_mcap
 from turtlebag.datasets.bags.folder import CHUNK_BYTES, BagFolder
 from turtlebag.datasets.bags.mcap_index import HEAD, MAGIC
@@ -14,13 +13,6 @@ from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drive") / "bag"
-    write_drive(folder, seconds=3)
-    return folder
 
 
 def rewritten(drive, path, **options):

@@ -38,13 +38,6 @@ from turtlebag.datasets.se2 import SE2
 FULL_TURN = 2.0 * math.pi
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drive") / "bag"
-    write_drive(folder, seconds=6, navigation=True)
-    return folder
-
-
 def same(a, b):
     assert a.stamps_ns.tolist() == b.stamps_ns.tolist()
     np.testing.assert_array_equal(a.ranges, b.ranges)

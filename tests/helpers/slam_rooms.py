@@ -17,6 +17,12 @@ ROOM = np.vstack([rectangle(0, 0, 8, 6), rectangle(3, 2, 3.5, 4), rectangle(6, 0
 CORRIDOR = np.array([[-100.0, -1.0, 100.0, -1.0], [-100.0, 1.0, 100.0, 1.0]])
 
 
+def random_poses(n, seed, std=2.0):
+    """Poses (n, 3): positions of this standard deviation [m], headings uniform."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.normal(0.0, std, (n, 2)), rng.uniform(-3.0, 3.0, n)])
+
+
 def recording(walls, poses, lidar=LDS, *, noise=0.01, odometry=None, seed=0):
     """A log of instantaneous scans at poses (n, 3), 5 Hz."""
     rng = np.random.default_rng(seed)

@@ -156,7 +156,7 @@ def test_scans_that_agree_less_than_they_once_did_are_worth_a_second_look_now_an
     amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
     errors(amcl, log[:30])
     assert amcl.watch.search_share() == 0.0
-    amcl.watch.fast = 0.85 * amcl.watch.best  # the twin of a place: nothing is wrong enough to be lost
+    amcl.watch.fast = 0.85 * amcl.watch.best  # an aliased place: no scan disagrees enough to be lost
     assert amcl.agrees
     shares = []
     for _ in range(70):

@@ -121,9 +121,9 @@ def test_the_agreement_of_several_scans_is_their_mean_each_from_its_own_place():
         each = [search.agreement((SE2(pose) @ r).xyt, g.beams) for r, g in zip(relative, scans, strict=True)]
         assert value == pytest.approx(np.mean(each))
     assert found[0] > 0.95 > found[1]
-    fit, rival = aliasing._polished(SE2.from_xyt(0.05, -0.03, 0.0), scans, places)
+    fit, second = aliasing._polished(SE2.from_xyt(0.05, -0.03, 0.0), scans, places)
     assert fit > 0.97
-    assert np.abs((rival @ places[1]).xyt - places[1].xyt).max() < 0.03
+    assert np.abs((second @ places[1]).xyt - places[1].xyt).max() < 0.03
     assert aliasing.fits([SE2.identity()], scans[0], SE2.identity()) == pytest.approx(1.0, abs=0.03)
 
 
@@ -148,7 +148,7 @@ def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hu
     assert np.abs(other - centres[2]).max() < 0.02
 
 
-def test_a_rival_stays_while_its_mean_of_six_is_close():
+def test_a_hypothesis_stays_while_its_mean_of_six_is_close():
     places = [SE2.identity(), SE2.from_xyt(2.0, 0.0, 0.0)]
     for off, left in ((0.049, 2), (0.051, 1)):
         hypotheses = PoseHypotheses(places)

@@ -43,7 +43,7 @@ def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Alia
 DRIVE = [(1.1, 0.9, 0.3), (1.4, 1.0, 0.5)]
 
 
-def test_the_twin_of_a_place_is_found_and_the_estimate_stays_the_first():
+def test_the_aliased_place_is_found_and_the_estimate_stays_first():
     aliasing, scans = seen_from(HALL, DRIVE)
     found = aliasing.find(scans, SE2.identity())
     assert len(found) == 2

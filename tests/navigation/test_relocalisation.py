@@ -62,7 +62,7 @@ def test_a_kidnapped_robot_stops_finds_itself_and_arrives(true_map):
 
 
 @pytest.mark.slow
-def test_carried_off_beside_its_own_twin_a_robot_does_not_count_goals_before_it_knows(true_map):
+def test_kidnapped_to_an_aliased_place_the_robot_counts_no_goal_before_it_knows_where_it_is(true_map):
     kidnap = FaultConfig(kidnap=((6.0, -1.12, -1.87, 1.63),))
     start, goal = SE2.from_xyt(1.0, 1.7, 0.0), SE2.from_xyt(0.0, 2.0, 0.0)
     episode = run(true_map, kidnap, seed=2, start=start, goal=goal, timeout_s=90.0, keepout=())

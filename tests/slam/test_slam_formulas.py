@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.made_drives import Drive, FloorPlan, Sensor, make_log
-from tests.helpers.slam_rooms import ROOM, around_the_room, recording
+from tests.helpers.slam_rooms import ROOM, around_the_room, random_poses, recording
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec
@@ -24,11 +24,6 @@ from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.selfcheck import _revisits, contradicted_keys, hypothesis_shares
 from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
 from turtlebag.pipeline.slam.track import HYPOTHESES, Track
-
-
-def random_poses(n, seed, std=2.0):
-    rng = np.random.default_rng(seed)
-    return np.column_stack([rng.normal(0.0, std, (n, 2)), rng.uniform(-3.0, 3.0, n)])
 
 
 def place(i, j, T_j_i, overlap=0.8):

@@ -1,4 +1,4 @@
-"""What is compiled - alignment, pairs, denials, sets of places, trust in odometry - beside plain NumPy."""
+"""Compiled alignment, pairs, free-space violations, sets of places, trust in odometry, beside plain NumPy."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What makes a loop believed, and which steps of a log its loops span: a break that one spans is mended."""
+"""When a loop is accepted, and which steps of a log the accepted loops span: these are no breaks."""
 
 import numpy as np
 

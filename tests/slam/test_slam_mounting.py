@@ -32,9 +32,9 @@ def said_turned(log: Known, degrees: float) -> Known:
 
 @pytest.mark.parametrize("degrees", [180.0, 90.0, -90.0, -35.0, 10.0])
 def test_a_laser_said_to_face_elsewhere_is_turned_back(log, degrees):
-    mended = facing(said_turned(log, degrees).recording)
-    np.testing.assert_allclose(mended.T_base_lidar.xyt, log.recording.T_base_lidar.xyt, atol=1e-9)
-    assert f"the laser's yaw is {degrees:.0f} degrees from the recorded mounting" in mended.notes[-1]
+    corrected = facing(said_turned(log, degrees).recording)
+    np.testing.assert_allclose(corrected.T_base_lidar.xyt, log.recording.T_base_lidar.xyt, atol=1e-9)
+    assert f"the laser's yaw is {degrees:.0f} degrees from the recorded mounting" in corrected.notes[-1]
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Who is believed: the odometry that is caught lying, the scan that hardly sees."""
+"""Which is trusted: odometry that the scans contradict, and scans that observe little."""
 
 import numpy as np
 import pytest

@@ -41,8 +41,8 @@ def office() -> Known:
     )  # fmt: skip
 
 
-def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Known:
-    """A corridor with rooms like one another to the centimetre, furniture and all, each visited once."""
+def identical_rooms(seed: int, rooms: int = 8, there_and_back: bool = False) -> Known:
+    """A corridor whose rooms are identical to the centimetre, furniture included; each is visited once."""
     plan = FloorPlan(10.0 + 4.0 * rooms, 14.0)
     plan.carve(1.0, 6.0, 5.0 + 4.0 * rooms, 8.0)
     route = [(2.0, 7.0)]
@@ -112,7 +112,7 @@ def test_broken_log_without_place_recognition_is_called_doubtful():
 
 @pytest.mark.slow
 def test_rooms_like_one_another_are_not_taken_for_one():
-    log = twins(1, rooms=6)
+    log = identical_rooms(1, rooms=6)
     result = run_slam(log.recording, SlamConfig())
     assert not any(place.verdict == "accepted" for place in result.recognised)
     assert errors(result.trajectory.poses, log.reference)["m"] < 0.03
@@ -122,7 +122,7 @@ def test_rooms_like_one_another_are_not_taken_for_one():
 @pytest.mark.slow
 @pytest.mark.parametrize("there_and_back", [False, True])
 def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_back):
-    log = twins(2, rooms=6, there_and_back=there_and_back)
+    log = identical_rooms(2, rooms=6, there_and_back=there_and_back)
     log = displaced(without(log, 45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
     result = run_slam(log.recording, SlamConfig())
     assert not any(place.verdict == "accepted" for place in result.recognised)
@@ -376,7 +376,7 @@ def test_a_place_is_believed_where_visits_violate_free_space_little_more_than_us
     assert len(believed) == (verdict == "accepted")
 
 
-def test_recall_costs_nothing_where_the_chain_holds():
+def test_place_recognition_finds_nothing_to_do_in_an_unbroken_track():
     truth = around_the_room(60)
     log = recording(ROOM, truth, odometry=truth)
     result = run_slam(log, SlamConfig())

@@ -13,11 +13,6 @@ from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, support
 
 
-def random_poses(n, seed, std=2.0):
-    rng = np.random.default_rng(seed)
-    return np.column_stack([rng.normal(0.0, std, (n, 2)), rng.uniform(-3.0, 3.0, n)])
-
-
 @pytest.mark.parametrize("broken_at", [(), (9,), (0, 20, 38)])
 def test_windows_lie_between_the_breaks_around_every_sixth_key(broken_at):
     n, broken = 40, np.zeros(39, dtype=bool)

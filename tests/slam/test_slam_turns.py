@@ -62,13 +62,13 @@ def test_a_delay_is_found_and_undone(turning, seconds):
     timing = compared_turns(recording)
     found = timing.late_s
     assert timing == (pytest.approx(seconds, abs=0.03), False, None, True)
-    mended = in_step(recording, timing)
+    fixed = in_step(recording, timing)
     inside = slice(10, -10)  # beyond its ends the odometry is held
     expected = turning.recording.T_odom_base[inside]
-    np.testing.assert_allclose(mended.T_odom_base[inside].xy, expected.xy, atol=0.03)
-    assert mended.odometry_late_s == found
+    np.testing.assert_allclose(fixed.T_odom_base[inside].xy, expected.xy, atol=0.03)
+    assert fixed.odometry_late_s == found
     side = "behind" if seconds > 0.0 else "ahead of"
-    assert mended.notes == (
+    assert fixed.notes == (
         f"the odometry runs {abs(found):.2f} s {side} the scans (judged by the turns of both); corrected",
     )
 
@@ -127,9 +127,9 @@ def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, requ
     wrong = late(replace(recording, lidar=turned_over(recording.lidar)), seconds)
     timing = compared_turns(wrong)
     assert timing == (pytest.approx(seconds, abs=0.06), True, None, True)
-    mended = in_step(wrong, timing)
-    np.testing.assert_allclose(mended.lidar.angles, recording.lidar.angles)
-    assert mended.notes[0].startswith("scans and odometry turn in opposite directions")
+    fixed = in_step(wrong, timing)
+    np.testing.assert_allclose(fixed.lidar.angles, recording.lidar.angles)
+    assert fixed.notes[0].startswith("scans and odometry turn in opposite directions")
 
 
 @pytest.mark.slow
@@ -144,9 +144,9 @@ def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(turning
     wrong = replace(recording, lidar=turned_over(lidar) if over else lidar)
     timing = compared_turns(wrong)
     assert timing == (pytest.approx(seconds, abs=0.06), over, pytest.approx(true, rel=0.01), True)
-    mended = in_step(wrong, timing)
-    assert mended.lidar.time_increment == pytest.approx(true, rel=0.01)
-    assert ("in the opposite direction" in mended.notes[0]) is (said == "reversed")
+    fixed = in_step(wrong, timing)
+    assert fixed.lidar.time_increment == pytest.approx(true, rel=0.01)
+    assert ("in the opposite direction" in fixed.notes[0]) is (said == "reversed")
 
 
 @pytest.mark.slow

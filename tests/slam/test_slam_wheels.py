@@ -5,16 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from tests.helpers.slam_rooms import random_poses
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import ImuLog
 from turtlebag.pipeline.slam import calibration as calib
 from turtlebag.pipeline.slam import gyro as gyros
 from turtlebag.pipeline.slam.calibration import Calibration
-
-
-def random_poses(n, seed, std=2.0):
-    rng = np.random.default_rng(seed)
-    return np.column_stack([rng.normal(0.0, std, (n, 2)), rng.uniform(-3.0, 3.0, n)])
 
 
 def test_baselines_pairs_and_chains_are_sums_along_the_way():
