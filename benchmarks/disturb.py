@@ -16,9 +16,9 @@ from turtlebag.datasets.types import ImuLog, Trajectory
 Mode = Callable[[Known, np.random.Generator], Known]
 
 
-def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
-    """The log in one of MODES."""
-    return MODES[mode](log, stream(seed, mode))
+def disturbed(log: Known, kind: str, seed: int = 1) -> Known:
+    """The log in one of MODES or KINDS."""
+    return (MODES | KINDS)[kind](log, stream(seed, kind))
 
 
 def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:

@@ -22,7 +22,6 @@ from argparse import Namespace
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
@@ -194,14 +193,6 @@ def suites(args: Namespace) -> dict[str, Suite]:
     return known
 
 
-def main() -> None:
-    """Print and write the tables."""
-    parser = options(__doc__, "data/benchmarks/localise", "shorter drives, 10 episodes instead of 100")
-    parser.add_argument("--sensors", choices=get_args(Sensors), default="realistic")
-    args = parsed(parser, suites)
-    args.out /= args.sensors
-    run(args, suites)
-
-
 if __name__ == "__main__":
-    main()
+    quick = "shorter drives, 10 episodes instead of 100"
+    run(*parsed(options(__doc__, "data/benchmarks/localise", quick, sensors=True), suites))

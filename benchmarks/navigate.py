@@ -20,7 +20,7 @@ from argparse import Namespace
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -190,7 +190,6 @@ def summary(name: str, rows: Sequence[Row]) -> Row:
         "scenario": name,
         "seeds": spans([row["seed"] for row in rows]),
         "success": f"{ok}/{n}",
-        "rate": f"{ok / n:.3f}",
         "Wilson 95 %": f"{wilson[0]:.3f}..{wilson[1]:.3f}",
         "Clopper-Pearson 95 %": f"{exact.low:.3f}..{exact.high:.3f}",
         "visible contacts": sum(of("visible")),
@@ -226,15 +225,10 @@ def failures(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def known(args: Namespace) -> dict[str, Scenario]:
-    """Every scenario with the sensors asked for."""
-    return scenarios(Maps(args.maps, args.sensors), args.quick, args.sensors)
-
-
 def suites(args: Namespace) -> dict[str, Suite]:
     """A suite a scenario, a case an episode."""
     found = {}
-    for name, scenario in known(args).items():
+    for name, scenario in scenarios(Maps(args.maps, args.sensors), args.quick, args.sensors).items():
         count = args.limit or (scenario.short if args.quick else scenario.count)
         seeds = range(args.first, args.first + count)
         cases = [Case(f"{name} {k}", partial(episode_row, scenario, k), about(scenario, k)) for k in seeds]
@@ -244,20 +238,18 @@ def suites(args: Namespace) -> dict[str, Suite]:
 
 def main() -> None:
     """Drive what has no row yet, and print the table of all rows that there are."""
-    parser = options(__doc__, "data/benchmarks/navigate", quick="a few short episodes of each")
-    parser.add_argument("--sensors", choices=get_args(Sensors), default="realistic")
+    parser = options(__doc__, "data/benchmarks/navigate", "a few short episodes of each", sensors=True)
     parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED", help="first seed")
     parser.add_argument("--replay", type=int, metavar="SEED", help="one episode again, with all it leaves")
     kept = Path("data/benchmarks/maps")
     parser.add_argument("--maps", type=Path, default=kept, metavar="DIR", help="folder that keeps the maps")
-    args = parsed(parser, suites)
-    named = known(args)
+    args, known = parsed(parser, suites)
     if args.replay is not None:
+        named = scenarios(Maps(args.maps, args.sensors), args.quick, args.sensors)
         again, out = named[args.suites[0]].trial(args.replay), Output(args.out, force=True)
         raise SystemExit(navigate(again.world, again.robot, again.request, out, config=again.config))
-    args.out /= args.sensors
-    run(args, suites)
-    rows = {name: Rows(rows_file(args.out, name), keep=True).all for name in named}
+    run(args, known)
+    rows = {name: Rows(rows_file(args.out, name), keep=True).all for name in known}
     write(args.out, "navigate", [summary(name, part) for name, part in rows.items() if part])
     print("\n".join(failures([row for part in rows.values() for row in part])))
 

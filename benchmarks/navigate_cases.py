@@ -221,18 +221,15 @@ def barn(worlds: list[Path], name: str, seed: int) -> Trial:
     best = float(np.linalg.norm(np.diff(whole, axis=0), axis=1).sum()) / 2.0
     request = Request(task="goal", seed=seed, start=start, goal=goal, timeout_s=100.0)
     world = dataclasses.replace(load_world(str(path)), name=path.stem)
-    score = _barn_score(best)
+    score = functools.partial(_barn_score, best)
     return Trial(world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
 
 
-def _barn_score(best: float) -> Callable[[RunMetrics], float]:
-    def score(metrics: RunMetrics) -> float:
-        """Success (truly within 1 m) times OT over AT cut to 2 OT .. 8 OT (the challenge's formula)."""
-        taken, error = metrics["goals"][0]["time_s"], metrics["goals"][0]["error_m"]
-        arrived = metrics["success"] and error is not None and error <= 1.0
-        return float(arrived) * best / min(max(taken, 2.0 * best), 8.0 * best)
-
-    return score
+def _barn_score(best: float, metrics: RunMetrics) -> float:
+    """Success (truly within 1 m) times OT over AT cut to 2 OT .. 8 OT (the challenge's formula)."""
+    taken, error = metrics["goals"][0]["time_s"], metrics["goals"][0]["error_m"]
+    arrived = metrics["success"] and error is not None and error <= 1.0
+    return float(arrived) * best / min(max(taken, 2.0 * best), 8.0 * best)
 
 
 # Something goes wrong: in the arena (burger, the patrol), in the house (waffle_pi and burger in turn, a goal)

@@ -17,7 +17,7 @@ import math
 import time
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import get_args
@@ -28,7 +28,7 @@ from benchmarks.drives import PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
 from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_shortest import Lattice
-from benchmarks.runner import Row, Suite, every, grouped, options, parsed, public_log, run, write
+from benchmarks.runner import Row, Suite, every, grouped, options, parsed, public_log, run
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -61,7 +61,6 @@ REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.
 class Place:
     """A map with a robot on it; `queries` are starts, goals and the length of the shortest way."""
 
-    name: str
     robot: RobotSpec
     costmap: Costmap
     grid: OccupancyGrid
@@ -89,7 +88,7 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
         a, b = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
         if np.linalg.norm(a.xy - b.xy) >= LEAST_APART_M:
             queries.append((a, b, lattice.shortest(a, b)))
-    return Place(name, robot, costmap, grid, cells, tuple(queries))
+    return Place(robot, costmap, grid, cells, tuple(queries))
 
 
 def config_of(planner: PlannerName, space: Space) -> PlanConfig:
@@ -161,7 +160,7 @@ def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
     compiled("disc")
     at, gap = place(map, robot, count, out), REFUSED[goals]
     times: list[float] = []
-    rng = stream(2, f"plan {at.name} {at.robot.name}")
+    rng = stream(2, f"plan {map} {robot}")
     while len(times) < count:
         a, b = pose_on(at.grid, at.cells, rng), pose_on(at.grid, at.cells, rng)
         if float(np.linalg.norm(a.xy - b.xy)) < 1.5:
@@ -175,8 +174,7 @@ def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
         wall &= (dx < 0.0) | (np.abs(dy) > 0.5 * gap * across)
         walled = at.costmap.with_lethal(wall)
         walled.clearance_at(a.xy)  # the field is made before the clock starts
-        shut = Place(at.name, at.robot, walled, at.grid, at.cells, ())
-        found, ms = ask(shut, a, b, PlanConfig(), len(times))
+        found, ms = ask(replace(at, costmap=walled), a, b, PlanConfig(), len(times))
         if found is not None:
             raise RuntimeError("a walled-off goal was reached")
         times.append(ms)
@@ -193,23 +191,26 @@ def refused(rows: Sequence[Row]) -> list[Row]:
     return found
 
 
-def figures(label: Row, rows: Sequence[Row]) -> Row:
-    """One line of a table."""
+def figures(rows: Sequence[Row]) -> Row:
+    """One line of the table."""
     ms = np.array([row["time_ms"] for row in rows])
     found = [row for row in rows if row["answered"]] or [{"ratio": math.nan, "clearance_m": math.nan}]
     ratio, room = (np.array([row[key] for row in found]) for key in ("ratio", "clearance_m"))
     counts = {key: sum(row[key] for row in rows) for key in ("answered", "solved", "correct")}
-    return label | {"queries": len(rows)} | counts | {
+    return {"queries": len(rows)} | counts | {
         "median ms": f"{np.median(ms):.1f}", "95 % ms": f"{np.percentile(ms, 95):.1f}",
         "mean length / shortest": f"{ratio.mean():.3f}", "worst": f"{ratio.max():.3f}",
         "least clearance m": f"{room.min():.3f}", "mean": f"{room.mean():.3f}",
     }  # fmt: skip
 
 
-def table(rows: Sequence[Row], keys: tuple[str, ...]) -> list[Row]:
-    """A line for each value of some columns; plans that crashed have none."""
-    groups = grouped((row for row in rows if "error" not in row), *keys).items()
-    return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups]
+def table(rows: Sequence[Row]) -> list[Row]:
+    """A line for each planner, then one for each map by the default; plans that crashed have none."""
+    done = [row for row in rows if "error" not in row]
+    default = [row for row in done if row["planner"] == OmplConfig(space=row["space"]).name]
+    keys = ("space", "planner", "map", "robot")
+    parts = grouped([row | {"map": "all", "robot": ""} for row in done], *keys) | grouped(default, *keys)
+    return [dict(zip(keys, key, strict=True)) | figures(part) for key, part in parts.items()]
 
 
 def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -242,9 +243,8 @@ def suites(args: Namespace) -> dict[str, Suite]:
             plans += every(measure, **about, planner=few if quick else bound)
         shut = partial(refusal_row, count=queries, out=out)
         refusals += every(shut, map=(map,), robot=(robot,), goals=REFUSED)
-    by_planner = partial(table, keys=("space", "planner"))
     return {
-        "plan": Suite(plans, summary=by_planner, quick=len(plans), kept=False, show=False),
+        "plan": Suite(plans, summary=table, quick=len(plans), kept=False, show=False),
         "refused": Suite(refusals, summary=refused, quick=len(refusals), kept=False, show=False),
     }
 
@@ -252,13 +252,10 @@ def suites(args: Namespace) -> dict[str, Suite]:
 def main() -> None:
     parser = options(__doc__, "data/benchmarks/plan", "few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
-    args = parsed(parser, suites)
-    rows = [row for row in run(args, suites).get("plan", []) if "error" not in row]
-    if not rows:
-        return
-    write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
-    default = [row for row in rows if row["planner"] == OmplConfig(space=row["space"]).name]
-    write(args.out, "maps", table(default, ("space", "map", "robot")))
+    args, known = parsed(parser, suites)
+    rows = [row for row in run(args, known).get("plan", []) if "error" not in row]
+    if rows:
+        write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
 
 
 if __name__ == "__main__":

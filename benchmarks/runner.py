@@ -23,26 +23,28 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, get_args
 
 from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.reports.metrics.statistics import share_interval
+from turtlebag.sim.simulator import Sensors
 
 Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]
 SPAWN = multiprocessing.get_context("spawn")
-LIMIT_MINUTES = 30.0
 
 
 def options(
-    doc: str, out: str = "data/benchmarks", quick: str = "", **numbers: int
+    doc: str, out: str = "data/benchmarks", quick: str = "", *, sensors: bool = False, **numbers: int
 ) -> argparse.ArgumentParser:
-    """The command line of a benchmark: `--out`, `--quick` where it has a sample, and some numbers."""
+    """The command line of a benchmark: `--out`, `--quick` where it has a sample, `--sensors` where its tables
+    lie in a folder of each set, and some numbers."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
+    parser.set_defaults(quick=False, sensors="")
     if quick:
         parser.add_argument("--quick", action="store_true", help=quick)
-    else:
-        parser.set_defaults(quick=False)
+    if sensors:
+        parser.add_argument("--sensors", choices=get_args(Sensors), default="realistic")
     parser.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help=f"default: {out}")
     for name, default in numbers.items():
         parser.add_argument(f"--{name}", type=int, default=default, metavar="N", help=f"default: {default}")
@@ -76,10 +78,16 @@ class Case:
     about: Row = field(default_factory=dict)
 
 
+def each(measure: Callable[..., Row], names: Iterable[str], rows: Iterable[Iterable[Any]]) -> list[Case]:
+    """A case for each row of values of some arguments of `measure`."""
+    names = tuple(names)
+    abouts = [dict(zip(names, row, strict=True)) for row in rows]
+    return [Case(" ".join(map(str, about.values())), partial(measure, **about), about) for about in abouts]
+
+
 def every(measure: Callable[..., Row], **levels: Iterable[Any]) -> list[Case]:
     """A case for each combination of the levels of some arguments of `measure`."""
-    grid = [dict(zip(levels, values, strict=True)) for values in itertools.product(*levels.values())]
-    return [Case(" ".join(map(str, about.values())), partial(measure, **about), about) for about in grid]
+    return each(measure, levels, itertools.product(*levels.values()))
 
 
 @dataclass(frozen=True)
@@ -229,16 +237,9 @@ def shown(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def markdown(rows: list[Row], columns: Iterable[str] = ()) -> str:
-    """A table of rows; without `columns` those of the first."""
-    columns = list(columns) or [key for key in rows[0] if key != "code"]
-    lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
-    lines += ["| " + " | ".join(shown(row.get(c)).replace("|", "/") for c in columns) + " |" for row in rows]
-    return "\n".join(lines) + "\n"
-
-
 def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *, show: bool = True) -> None:
-    """A CSV file with all of the rows and, with `show`, `columns` of it as a markdown table, printed too."""
+    """A CSV file with all of the rows and, with `show`, a markdown table of `columns` (without: those of the
+    first row), printed too."""
     if not rows:
         return
     everything = list(dict.fromkeys(key for row in rows for key in row))
@@ -249,7 +250,10 @@ def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *,
         writer.writerows(rows)
     if not show:
         return
-    text = markdown(rows, columns)
+    columns = list(columns) or [key for key in rows[0] if key != "code"]
+    lines = [columns, ["---"] * len(columns)]
+    lines += [[shown(row.get(column)).replace("|", "/") for column in columns] for row in rows]
+    text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
     (out / f"{name}.md").write_text(text)
     print(f"\n{name}\n\n{text}", flush=True)
 
@@ -265,14 +269,14 @@ def parsed(
     argv: Sequence[str] | None = None,
     *,
     workers: int = 1,
-) -> argparse.Namespace:
-    """The command line of `run`, its suites named."""
+) -> tuple[argparse.Namespace, dict[str, Suite]]:
+    """The command line of `run`, with the suites asked for named, and all suites."""
     parser.add_argument("suites", nargs="*", metavar="SUITE", help="these suites (default: all)")
     parser.add_argument("--limit", type=int, metavar="N", help="the first N cases of each suite")
-    parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel-*'")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel *'")
     parser.add_argument("--workers", type=int, default=workers, metavar="N", help="processes")
     late = "a case that takes longer is an error"
-    parser.add_argument("--minutes", type=float, default=LIMIT_MINUTES, metavar="M", help=late)
+    parser.add_argument("--minutes", type=float, default=30.0, metavar="M", help=late)
     parser.add_argument("--keep", action="store_true", help="rows of other code count, too")
     args = parser.parse_args(argv)
     if args.workers < 1 or (args.limit is not None and args.limit < 1) or args.minutes <= 0.0:
@@ -281,14 +285,13 @@ def parsed(
     if wrong := [name for name in args.suites if name not in known]:
         parser.error(f"no suite {wrong[0]!r}: there are {', '.join(known)}")
     args.suites = args.suites or [name for name, suite in known.items() if suite.quick or not args.quick]
-    return args
+    return args, known
 
 
-def run(
-    args: argparse.Namespace, suites: Callable[[argparse.Namespace], dict[str, Suite]]
-) -> dict[str, list[Row]]:
+def run(args: argparse.Namespace, known: dict[str, Suite]) -> dict[str, list[Row]]:
     """Measure what has no row yet of the suites of a command line, write their tables; the rows of each."""
-    known, found = suites(args), {}
+    args.out /= args.sensors
+    found: dict[str, list[Row]] = {}
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
         for name in args.suites:
@@ -308,8 +311,8 @@ def run(
             except KeyboardInterrupt:
                 print("stopped; the same command goes on from here", file=sys.stderr)
                 raise SystemExit(130) from None
-            found[name] = rows.of(cases)
-            write(args.out, name, suite.complete(found[name]), suite.columns, show=suite.show)
+            found[name] = suite.complete(rows.of(cases))
+            write(args.out, name, found[name], suite.columns, show=suite.show)
             if suite.summary and found[name]:
                 write(args.out, f"{name}-summary", suite.summary(found[name]))
     return found

@@ -32,19 +32,11 @@ import os
 from argparse import Namespace
 from collections.abc import Sequence
 
+from benchmarks import slam_logs as logs
 from benchmarks.runner import Suite, options, parsed, public, run
 from benchmarks.slam3d import space_cases, worth_cases
 from benchmarks.slam_cost import COSTS, ONLINE, growth_cases, online_cases
 from benchmarks.slam_detector import by, detection, detector_cases, judged
-from benchmarks.slam_logs import (
-    COLUMNS,
-    disturbed_cases,
-    drive_cases,
-    fast_cases,
-    log_cases,
-    mishap_cases,
-    world_cases,
-)
 from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table, number_cases, number_table
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py", "benchmarks/known.py")
@@ -65,15 +57,15 @@ def suites(args: Namespace) -> dict[str, Suite]:
     made = (*SIMULATED, "tests/helpers/made_drives.py", "tests/helpers/made_logs.py")
     grown = (*SIMULATED, "pipeline/stages/map.py", "benchmarks/slam_cost.py")
     return {
-        "logs": Suite(log_cases(out), (*BASICS, *COLUMNS, *ENDS), quick=99, code=MAPPER),
-        "disturbed": Suite(disturbed_cases(), (*RELATIONS, *ENDS), quick=15, code=DISTURBED),
-        "drives": Suite(drive_cases(), (*WORLD, *ENDS), drives, quick=12, code=SIMULATED),
-        "fast50": Suite(fast_cases(), (*EXACT, *ENDS), by("sensors"), quick=6, code=SIMULATED),
-        "mishaps": Suite(mishap_cases(out), (*MADE, *ENDS), by("lidar"), quick=20, code=SIMULATED),
+        "logs": Suite(logs.log_cases(out), (*BASICS, *logs.COLUMNS, *ENDS), quick=99, code=MAPPER),
+        "disturbed": Suite(logs.disturbed_cases(), (*RELATIONS, *ENDS), quick=15, code=DISTURBED),
+        "drives": Suite(logs.drive_cases(), (*WORLD, *ENDS), drives, quick=12, code=SIMULATED),
+        "fast50": Suite(logs.fast_cases(), (*EXACT, *ENDS), by("sensors"), quick=6, code=SIMULATED),
+        "mishaps": Suite(logs.mishap_cases(out), (*MADE, *ENDS), by("lidar"), quick=20, code=SIMULATED),
         "detector": Suite(
             detector_cases(), ("half", *EXACT, "limit_m", "bad", *ENDS), detection, judged, 26, made
         ),
-        "worlds": Suite(world_cases(out), (*WORLD, *ENDS), code=SIMULATED),
+        "worlds": Suite(logs.world_cases(out), (*WORLD, *ENDS), code=SIMULATED),
         "ablation": Suite(ablation_cases(), (*EXACT, *ENDS), ablation_table, code=SIMULATED),
         "parts": Suite(ablation_cases(CHOICES, PARTS), (*EXACT, *ENDS), ablation_table, code=SIMULATED),
         "numbers": Suite(number_cases(), (*EXACT, *ENDS), number_table, code=SIMULATED),
@@ -89,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = options(__doc__, "data/benchmarks/slam", "a sample that takes less than 20 minutes")
     if public("radish") is None:
         print("TURTLEBAG_DATA names no folder with a folder `radish`: public logs are left out", flush=True)
-    run(parsed(parser, suites, argv, workers=os.cpu_count() or 1), suites)
+    run(*parsed(parser, suites, argv, workers=os.cpu_count() or 1))
 
 
 if __name__ == "__main__":

@@ -20,13 +20,12 @@ import numpy as np
 import yaml
 
 import turtlebag as tb
-from benchmarks.runner import Case, Row, held_mb, public_log
+from benchmarks.runner import Case, Row, each, every, held_mb, public_log
 from benchmarks.slam_logs import FAR, RADISH, by_name, mapped, read
 from benchmarks.slam_scores import scored
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import UNKNOWN
 from turtlebag.datasets.kernels import folders
-from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
@@ -43,7 +42,7 @@ GROWN = f"ACES to {SCANS} scans"
 LAPS = (1, 2, 4)
 SIDES_M = (6, 12, 18)
 V = {"burger": 0.2, "jackal": 0.6}
-COSTS = ("scans", "keys", "area_m2", "cpu_s", "ms a scan", "scans per s", "peak_mb", "verdict")
+COSTS = ("scans", "keys", "area_m2", "cpu_s", "ms a scan", "peak_mb", "verdict")
 HOURS = 2.0
 ONLINE = (
     "case", "scans", "keys", "offline_m", "end_m", "driving_m", "ms median", "ms p99", "jump_worst_m",
@@ -82,15 +81,13 @@ def map_cost(log: Path, scratch: Path) -> Row:
                 raise RuntimeError(done.stderr.strip() or f"exit code {code}")
             if _compiled() != before:
                 continue
-            said = json.loads((out / "metrics.json").read_text())
-            grid = load_map(out / "map.yaml")
+            said, grid = tb.Map(out).metrics, tb.Map(out).occupancy
             return {
                 "scans": said["scans"],
                 "keys": said["keyframes"],
                 "area_m2": round(np.count_nonzero(grid.cells != UNKNOWN) * grid.resolution**2),
                 "cpu_s": round(cpu_s, 1),
                 "ms a scan": round(1e3 * cpu_s / said["scans"], 2),
-                "scans per s": round(said["scans"] / cpu_s),
                 "peak_mb": round(peak_kb / 1e3),
                 "verdict": said["self_check"]["verdict"],
             }
@@ -104,12 +101,9 @@ def growth_cases() -> list[Case]:
     """The public logs there are, then the arena and the floor in all sizes."""
     logs = {"Intel": public_log("intel"), GROWN: public_log("aces")}
     cases = [Case(name, partial(log_row, log, name == GROWN)) for name, log in logs.items() if log]
-    cases += [
-        Case(f"arena, {laps} x", partial(driven_row, "turtlebot3_world", "burger", laps)) for laps in LAPS
-    ]
-    return cases + [
-        Case(f"maze, {n} x {n} m", partial(driven_row, f"maze:1,cells={n}", "jackal", 1)) for n in SIDES_M
-    ]
+    drives = [("turtlebot3_world", "burger", laps) for laps in LAPS]
+    drives += [(f"maze:1,cells={side}", "jackal", 1) for side in SIDES_M]
+    return cases + each(driven_row, ("world", "robot", "laps"), drives)
 
 
 def log_row(log: Path, grown: bool) -> Row:
@@ -186,10 +180,10 @@ def costs(mapper: Mapper, spent: list[float], held: list[float]) -> Row:
 def online_row(log: str) -> Row:
     """A log by its name, online beside offline."""
     made = by_name(log)
-    result, offline = mapped(made.recording)
+    offline = mapped(made)[1]
     given, end, row = online(made.recording)
-    told = {"offline_m": result.trajectory, "end_m": end, "driving_m": given}
-    return offline | row | {name: scored(made, trajectory)["m"] for name, trajectory in told.items()}
+    driving_m, end_m = (scored(made, trajectory)["m"] for trajectory in (given, end))
+    return offline | row | {"offline_m": offline["m"], "end_m": end_m, "driving_m": driving_m}
 
 
 def long_row(log: Path) -> Row:
@@ -230,7 +224,7 @@ def hours_row() -> Row:
 def online_cases() -> list[Case]:
     """Public logs there are, drives, synthetic logs, 20,000 scans, two hours."""
     made = (*DRIVES, "hall-plain-1", "office-all-1")
-    cases = [Case(name, partial(online_row, name)) for name in (*filter(public_log, PUBLIC), *made)]
+    cases = every(online_row, log=(*filter(public_log, PUBLIC), *made))
     cases.append(Case(f"arena, {HOURS:g} h", hours_row))
     if aces := public_log("aces"):
         cases.append(Case(GROWN, partial(long_row, aces)))

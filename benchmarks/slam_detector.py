@@ -12,11 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.disturb import KINDS, SCORED
+from benchmarks.disturb import KINDS, SCORED, disturbed
 from benchmarks.known import Known
 from benchmarks.runner import Case, Row, grouped, share
 from benchmarks.slam_logs import PLACES, ROBOTS, driven, mapped, world_of
-from benchmarks.slam_scores import scored
 from tests.helpers.made_logs import arena, office, rooms
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.stages.map_summary import BAD_M
@@ -34,20 +33,13 @@ SYNTHETIC: dict[str, Callable[[int], Known]] = {
 }
 
 
-def source(place: str, robot: str, seed: int) -> Known:
-    """A log nobody has seen, short enough for many of them."""
-    if place in SYNTHETIC:
-        return SYNTHETIC[place](seed)
-    return driven(world_of(place, seed), robot, SCRIPTS[seed % len(SCRIPTS)], seed)[0]
-
-
 def detector_row(place: str, robot: str, seed: int, kind: str) -> Row:
-    """A log with one kind of disturbance, against its truth."""
-    log = source(place, robot, seed)
-    if kind != "plain":
-        log = KINDS[kind](log, stream(seed, kind))
-    result, row = mapped(log.recording)
-    return row | scored(log, result.trajectory)
+    """A log that nobody has seen, with one kind of disturbance, against its truth."""
+    if place in SYNTHETIC:
+        log = SYNTHETIC[place](seed)
+    else:
+        log, _ = driven(world_of(place, seed), robot, SCRIPTS[seed % len(SCRIPTS)], seed)
+    return mapped(log if kind == "plain" else disturbed(log, kind, seed))[1]
 
 
 def detector_cases() -> list[Case]:
@@ -91,8 +83,8 @@ def rate(rows: Sequence[Row], verdict: str) -> str:
 
 
 def detection(rows: Sequence[Row]) -> list[Row]:
-    """False "good" and false "doubtful", for all, each half and each kind."""
-    found = [row for row in judged(rows) if "bad" in row]
+    """False "good" and false "doubtful" of judged rows, for all, each half and each kind."""
+    found = [row for row in rows if "bad" in row]
     parts = {"all": found}
     for half in ("build", "score"):
         parts[half] = [row for row in found if row["half"] == half]
@@ -135,7 +127,6 @@ def accuracy(rows: Sequence[Row]) -> Row:
         f"beyond {BAD_M} m": len(far),
         "of these good": sum(row["verdict"] == "good" for row in far),
         "others doubtful": sum(row["verdict"] != "good" for row in done if row not in far),
-        "CPU s": float(np.sum([row["cpu_s"] for row in done])),
     }
 
 

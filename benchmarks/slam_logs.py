@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, get_args
 
@@ -13,18 +15,17 @@ import numpy as np
 from PIL import Image
 
 import turtlebag as tb
-from benchmarks.disturb import KINDS, MODES, disturbed
+from benchmarks.disturb import MODES, disturbed
 from benchmarks.known import NO_RELATIONS, Known, chosen, known
-from benchmarks.runner import Case, Row, public, public_log
+from benchmarks.runner import Case, Row, each, every, public, public_log
 from benchmarks.slam_scores import by_relations, errors, scored
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import load_relations
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
-from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
 from turtlebag.reports.metrics.trajectory import associate
@@ -34,6 +35,7 @@ from turtlebag.sim.teleop_scripts import script_names
 PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
 ROBOTS = ("burger", "waffle_pi")
 ROUNDS = 5
+DRIVE = ("world", "robot", "teleop", "seed", "sensors")
 SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 TUTORIAL = [(world, robot) for world in (PLACES[4], PLACES[0]) for robot in ROBOTS]
 DOCUMENTED = (
@@ -91,21 +93,22 @@ MADE: dict[str, tuple[str, str, int]] = {
 # One map, measured.
 
 
-def mapped(recording: Recording, settings: dict[str, Any] | None = None) -> tuple[SlamResult, Row]:
-    """The map of a log, and what its row says whatever is known of the truth.
+def mapped(log: Known, settings: dict[str, Any] | None = None) -> tuple[SlamResult, Row]:
+    """The map of a log, and its row.
 
     CPU seconds are those of mapping alone, with everything loaded and compiled.
     """
     warm_up()
     start = time.process_time()
-    result = run_slam(recording, SlamConfig.model_validate(settings or {}))
+    result = run_slam(log.recording, SlamConfig.model_validate(settings or {}))
     spent = time.process_time() - start
     return result, {
-        "scans": len(recording),
+        "scans": len(log.recording),
         "cpu_s": round(spent, 2),
         "verdict": result.check.verdict,
         "reasons": list(result.check.reasons),
         "loops": sum(loop.accepted for loop in result.loops),
+        **scored(log, result.trajectory),
     }
 
 
@@ -115,12 +118,12 @@ def warm_up() -> None:
     run_slam(driven("turtlebot3_world")[0].with_scans(slice(60)).recording, SlamConfig())
 
 
-def picture(grid: OccupancyGrid, folder: Path, name: str) -> None:
-    """A map as pgm, yaml and png."""
-    folder.mkdir(parents=True, exist_ok=True)
-    name = name.replace(":", "_").replace("/", "_")
-    save_map(grid, folder, name)
-    Image.open(folder / f"{name}.pgm").save(folder / f"{name}.png")
+def picture(grid: OccupancyGrid, out: Path | None, *name: object) -> None:
+    """A map as pgm, yaml and png, when there is a folder for it."""
+    if out is not None:
+        (out / "maps").mkdir(parents=True, exist_ok=True)
+        file = save_map(grid, out / "maps", re.sub("[:/ ]", "_", "-".join(map(str, name))))
+        Image.open(file.with_suffix(".pgm")).save(file.with_suffix(".png"))
 
 
 # Simulated drives.
@@ -141,15 +144,15 @@ def driven(
     return known(bag.recording, bag.truth.at(bag.recording.stamps_ns)), bag
 
 
-def drive_row(drive: Row, pictures: Path | None) -> Row:
+def drive_row(
+    world: str, robot: str, teleop: str, seed: int, sensors: Sensors, out: Path | None = None
+) -> Row:
     """A simulated drive, its trajectory and its map against the exact truth."""
-    log, bag = driven(**drive)
+    log, bag = driven(world, robot, teleop, seed, sensors)
     true_map = load_map(bag.path / "truth/map.yaml")
-    result, row = mapped(log.recording)
-    if pictures is not None:
-        picture(result.grid, pictures / "maps", "-".join(map(str, drive.values())))
+    result, row = mapped(log)
+    picture(result.grid, out, world, robot, teleop, seed, sensors)
     found: Any = map_metrics(result.grid, true_map)
-    row |= scored(log, result.trajectory)
     seen = max(int(visible_surface(true_map, result.grid).sum()), 1)
     return row | {
         "within": found["occupied_error_m"]["within_one_cell"],
@@ -159,25 +162,17 @@ def drive_row(drive: Row, pictures: Path | None) -> Row:
     }
 
 
-def drive_case(
-    world: str, robot: str, teleop: str, seed: int, sensors: Sensors, pictures: Path | None = None
-) -> Case:
-    """The case of a simulated drive."""
-    about = {"world": world, "robot": robot, "teleop": teleop, "seed": seed, "sensors": sensors}
-    return Case("-".join(map(str, about.values())), partial(drive_row, about, pictures), about)
-
-
 def drive_cases() -> list[Case]:
     """Drives of every place, robot and script; of each number of them from the first as many of each kind.
 
     Every drive has a seed of its own, and so has the world where worlds are made of seeds.
     """
-    scripts, cases = script_names(), []
+    scripts, drives = script_names(), []
     for number in range(ROUNDS * len(PLACES) * len(ROBOTS) * len(scripts)):
         (turn, place), seed = divmod(number, len(PLACES)), 5001 + number
         robot, teleop = ROBOTS[(turn + place) % 2], scripts[(turn // 2 + place) % len(scripts)]
-        cases.append(drive_case(world_of(PLACES[place], seed), robot, teleop, seed, "realistic"))
-    return cases
+        drives.append((world_of(PLACES[place], seed), robot, teleop, seed, "realistic"))
+    return each(drive_row, DRIVE, drives)
 
 
 def world_of(place: str, seed: int) -> str:
@@ -187,12 +182,14 @@ def world_of(place: str, seed: int) -> str:
 
 def fast_cases() -> list[Case]:
     """Fifty fast drives through the house, with either set of sensors."""
-    return [drive_case(PLACES[0], "burger", "fast", seed, s) for seed in range(1001, 1051) for s in SENSORS]
+    drives = product(PLACES[:1], ROBOTS[:1], ["fast"], range(1001, 1051), SENSORS)
+    return each(drive_row, DRIVE, drives)
 
 
 def world_cases(out: Path) -> list[Case]:
     """The drives of the documentation, with either set of sensors."""
-    return [drive_case(*drive, sensors, out) for drive in DOCUMENTED for sensors in SENSORS]
+    drives = [(*drive, sensors) for drive in DOCUMENTED for sensors in SENSORS]
+    return each(partial(drive_row, out=out), DRIVE, drives)
 
 
 # Simulated logs with mishaps, and with other lidars.
@@ -207,7 +204,7 @@ def mishap(place: str, what: str, seed: int) -> Known:
     else:
         log, _ = driven(f"{place}:{40 + seed}{people}", "jackal", BRISK, seed, **FAR, **faults)
     for kind in kinds:
-        log = KINDS[kind](log, stream(seed, kind))
+        log = disturbed(log, kind, seed)
     return log
 
 
@@ -244,39 +241,31 @@ LIDARS: dict[str, Callable[[Known], Known]] = {
 }
 
 
-def mishap_row(log: str, lidar: str, pictures: Path) -> Row:
+def mishap_row(log: str, lidar: str, out: Path) -> Row:
     """A log with mishaps and one of LIDARS, against the exact truth."""
     made = by_name(log)
     heard = LIDARS[lidar](made)
-    result, row = mapped(heard.recording)
-    picture(result.grid, pictures / "maps", f"{log}-{lidar}".replace(" ", "_"))
+    result, row = mapped(heard)
+    picture(result.grid, out, log, lidar)
     wheels = {"driven_m": made.truth.length(), "odometry_m": errors(heard.odometry, heard.reference)["m"]}
-    return row | scored(heard, result.trajectory) | wheels
+    return row | wheels
 
 
 def mishap_cases(out: Path) -> list[Case]:
     """Every log of MADE with every lidar; a burger's sees no farther than 3.5 m anyway."""
-    return [
-        Case(f"{log}, {lidar}", partial(mishap_row, log, lidar, out), {"log": log, "lidar": lidar})
-        for log in MADE
-        for lidar in LIDARS
-        if lidar != "3.5 m" or MADE[log][0] not in BARE
-    ]
+    cases = every(partial(mishap_row, out=out), log=MADE, lidar=LIDARS)
+    return [c for c in cases if c.about["lidar"] != "3.5 m" or MADE[c.about["log"]][0] not in BARE]
 
 
 # Public logs.
-
-
-def stem(log: Path) -> str:
-    """The name of a log's truth beside it, without what kind it is."""
-    return log.name.split(".clf")[0]
 
 
 @lru_cache(maxsize=1)
 def read(log: Path) -> Known:
     """A log with the relations or the reference poses that lie beside it; the last one is kept at hand."""
     recording = load_recording(log)
-    relations, reference = (log.with_name(f"{stem(log)}.{kind}") for kind in ("relations", "reference.tum"))
+    stem = log.name.split(".clf")[0]
+    relations, reference = (log.with_name(f"{stem}.{kind}") for kind in ("relations", "reference.tum"))
     places = np.full((len(recording), 3), np.nan)
     if reference.is_file():
         pairs = associate(Trajectory(recording.stamps_ns, SE2(places)), load_tum(reference))
@@ -301,54 +290,47 @@ def by_name(name: str) -> Known:
     return read(log)
 
 
-def log_row(log: str, settings: dict[str, Any] | None = None, pictures: Path | None = None) -> Row:
+def log_row(log: str, settings: dict[str, Any] | None = None, out: Path | None = None) -> Row:
     """A log by its name, mapped with some settings."""
-    made = by_name(log)
-    result, row = mapped(made.recording, settings)
-    if pictures is not None:
-        picture(result.grid, pictures / "maps", log)
-    return row | scored(made, result.trajectory)
+    result, row = mapped(by_name(log), settings)
+    picture(result.grid, out, log)
+    return row
 
 
 @lru_cache(maxsize=len(RADISH))
-def undisturbed(log: Path) -> Trajectory:
+def undisturbed(log: str) -> Trajectory:
     """The trajectory that the log as it is gives, which all of its modes are compared with."""
-    return mapped(read(log).recording)[0].trajectory
+    return mapped(by_name(log))[0].trajectory
 
 
-def disturbed_row(log: Path, mode: str) -> Row:
+def disturbed_row(log: str, mode: str) -> Row:
     """A log in one of MODES, beside the undisturbed one by the same relations.
 
     Where too few relations are left, the errors are those against the undisturbed map.
     """
-    before, relations = undisturbed(log), read(log).relations
-    harder = disturbed(replace(read(log), reference=before.poses), mode)
-    result, row = mapped(harder.recording)
+    before, relations = undisturbed(log), by_name(log).relations
+    harder = disturbed(replace(by_name(log), reference=before.poses), mode)
     if len(harder.which) < ENOUGH_RELATIONS:
-        return row | errors(result.trajectory.poses, harder.reference) | {"scored by": "undisturbed map"}
-    row |= by_relations(result.trajectory, harder.relations) | {"scored by": f"{len(harder.which)} relations"}
+        return mapped(replace(harder, relations=NO_RELATIONS))[1] | {"scored by": "undisturbed map"}
+    row = mapped(harder)[1] | {"scored by": f"{len(harder.which)} relations"}
     same = by_relations(before, chosen(relations, harder.which))
     return row | {"before_m": same["m"], "before_deg": same["deg"], "ratio": row["m"] / same["m"]}
 
 
-def log_cases(pictures: Path) -> list[Case]:
+def log_cases(out: Path) -> list[Case]:
     """The public logs there are."""
     wild = public("wild")
-    names = [stem(log) for log in sorted(wild.glob("*.clf.bz2"))] if wild else []
+    names = sorted(log.name.split(".clf")[0] for log in wild.glob("*.clf.bz2")) if wild else []
     cases = []
     for name in [*filter(public_log, RADISH), *names]:
         published = dict(zip(COLUMNS, PUBLISHED.get(name, ()), strict=False))
-        cases.append(Case(name, partial(log_row, name, SETTINGS.get(name), pictures), published))
+        cases.append(Case(name, partial(log_row, name, SETTINGS.get(name), out), published))
     return cases
 
 
 def disturbed_cases() -> list[Case]:
     """Each public log with relations in each mode; the first fifteen are each mode once."""
-    logs = [log for name in RADISH if (log := public_log(name))]
-    cases = []
-    for shift in range(len(logs)):
-        for k, mode in enumerate(MODES):
-            log = logs[(k + shift) % len(logs)]
-            about = {"log": stem(log), "mode": mode}
-            cases.append(Case(f"{stem(log)}-{mode}", partial(disturbed_row, log, mode), about))
-    return cases
+    logs = [*filter(public_log, RADISH)]
+    turns = product(range(len(logs)), enumerate(MODES))
+    shifted = [(logs[(k + shift) % len(logs)], mode) for shift, (k, mode) in turns]
+    return each(disturbed_row, ("log", "mode"), shifted)

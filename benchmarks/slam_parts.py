@@ -6,13 +6,14 @@ import importlib
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial, reduce
+from functools import reduce
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from benchmarks.runner import SPAWN, Case, Row, public_log
+from benchmarks.runner import SPAWN, Case, Row, each, every, public_log
 from benchmarks.slam_logs import MADE, PLACES, log_row
 from turtlebag.pipeline.slam.slam import SlamConfig
 
@@ -39,7 +40,8 @@ NUMBERS = {
     "trust in loops": "loops: inflation",
 }
 """Constants of modules of `pipeline/slam`, and settings by their section: those named change together."""
-FACTORS = (1.0, 0.5, 2.0)
+FACTORS = (0.5, 2.0)
+AS_IT_IS = "as it is"
 LOGS_OF_NUMBERS = ("mit-csail", "turtlebot3_house", "fr079", "aces", "intel")
 
 
@@ -48,13 +50,14 @@ def there(logs: Sequence[str]) -> list[str]:
     return [log for log in logs if log in MADE or log in PLACES or public_log(log)]
 
 
+def ablation_row(variant: str, log: str) -> Row:
+    """A log mapped by one of ABLATIONS."""
+    return log_row(log, ABLATIONS[variant])
+
+
 def ablation_cases(variants: Iterable[str] = ABLATIONS, logs: Sequence[str] = ABLATED) -> list[Case]:
     """Every variant on every log there is."""
-    return [
-        Case(f"{log}, {v}", partial(log_row, log, ABLATIONS[v]), {"log": log, "variant": v})
-        for v in variants
-        for log in there(logs)
-    ]
+    return every(ablation_row, variant=variants, log=there(logs))
 
 
 def ablation_table(rows: list[Row]) -> list[Row]:
@@ -70,15 +73,17 @@ def _told(row: Row) -> str:
     return f"{row['m']:.4f}{turned}{'' if row['verdict'] == 'good' else ' d'} ({row['cpu_s']:.0f} s)"
 
 
-def number_row(log: str, name: str, factor: float) -> Row:
+def number_row(log: str, number: str, factor: float) -> Row:
     """`multiplied_row` in a process of its own: kernels take a constant's value when they are compiled."""
     with ProcessPoolExecutor(1, SPAWN) as pool:
-        return pool.submit(multiplied_row, log, name, factor).result()
+        return pool.submit(multiplied_row, log, number, factor).result()
 
 
-def multiplied_row(log: str, name: str, factor: float) -> Row:
+def multiplied_row(log: str, number: str, factor: float) -> Row:
     """A log with a number multiplied, for this process too."""
-    section, _, fields = NUMBERS[name].partition(": ")
+    if number == AS_IT_IS:
+        return log_row(log)
+    section, _, fields = NUMBERS[number].partition(": ")
     settings: dict[str, Any] = {}
     if fields:
         config: Any = reduce(getattr, section.split("."), SlamConfig())
@@ -102,14 +107,9 @@ def multiply_constant(where: str, factor: float, change: Callable[[object, str, 
 
 def number_cases() -> list[Case]:
     """Every number halved and doubled on every log there is, log by log; and once as it is."""
-    cases = []
-    for log in there(LOGS_OF_NUMBERS):
-        for name in NUMBERS:
-            for factor in FACTORS if name == next(iter(NUMBERS)) else FACTORS[1:]:
-                about = {"log": log, "number": name if factor != 1.0 else "as it is", "factor": factor}
-                measure = partial(number_row, log, name, factor)
-                cases.append(Case(", ".join(map(str, about.values())), measure, about))
-    return cases
+    changes = [(AS_IT_IS, 1.0), *product(NUMBERS, FACTORS)]
+    cases = [(log, *change) for log in there(LOGS_OF_NUMBERS) for change in changes]
+    return each(number_row, ("log", "number", "factor"), cases)
 
 
 def number_table(rows: Sequence[Row]) -> list[Row]:
@@ -119,8 +119,8 @@ def number_table(rows: Sequence[Row]) -> list[Row]:
     for number in NUMBERS:
         line: Row = {"number": number, "what": NUMBERS[number]}
         for log in dict.fromkeys(row["log"] for row in rows):
-            usual = found.get((log, "as it is", 1.0), float("nan"))
-            ratios = [found.get((log, number, factor), float("nan")) / usual for factor in FACTORS[1:]]
+            usual = found.get((log, AS_IT_IS, 1.0), float("nan"))
+            ratios = [found.get((log, number, factor), float("nan")) / usual for factor in FACTORS]
             line[log] = " / ".join(f"{ratio:.2f}" for ratio in ratios)
         table.append(line)
     return table

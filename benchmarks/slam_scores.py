@@ -24,16 +24,9 @@ def scored(log: Known, found: Trajectory) -> Row:
 
 
 def by_relations(estimate: Trajectory, relations: Relations) -> Row:
-    """Mean errors of relations, by metricEvaluator's definition and by Cartographer's."""
-    found = relations_metrics(estimate, relations)
-    ours, theirs = found["relations"], found["relations_cartographer"]
-    return {
-        "m": ours["trans_m"]["mean"],
-        "deg": ours["rot_deg"]["mean"],
-        "relations": ours["n"],
-        "cartographer_m": theirs["trans_m"]["mean"],
-        "cartographer_deg": theirs["rot_deg"]["mean"],
-    }
+    """Mean errors of relations, by metricEvaluator's definition."""
+    found = relations_metrics(estimate, relations)["relations"]
+    return {"m": found["trans_m"]["mean"], "deg": found["rot_deg"]["mean"], "relations": found["n"]}
 
 
 def errors(estimate: SE2, reference: SE2) -> Row:

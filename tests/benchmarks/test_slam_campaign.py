@@ -113,7 +113,7 @@ def test_bad_is_far_off_or_five_times_the_median_of_its_own_world():
     rows = [found(0.01, "good")] * 3 + [found(0.06, "good", "late"), found(0.3, "doubtful", "third", "score")]
     assert [row["bad"] for row in judged(rows)] == [False] * 3 + [True, True]
     assert [row["bad"] for row in judged(rows[3:])] == [False, True]  # no undisturbed maps to compare with
-    lines = {line["maps"]: line for line in detection([*rows, {"error": "x", **found(9.0, "good")}])}
+    lines = {line["maps"]: line for line in detection(judged([*rows, {"error": "x", **found(9.0, "good")}]))}
     assert lines["all"]["n"] == 5
     assert lines["build"]['bad ones called "good"'].startswith("1 of 1")
     assert lines["score"]['bad ones called "good"'].startswith("0 of 1")
