@@ -186,7 +186,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
         "speed": every(partial(speed, sensors=sensors), place=PLACES),
         "log": every(partial(intel, log, out=out), start=("told", "global")) if log is not None else [],
     }
-    known = {name: Suite(cases, quick=len(cases), kept=False) for name, cases in tables.items()}
+    known = {name: Suite(cases, quick=len(cases)) for name, cases in tables.items()}
     for kind in EPISODES:
         cases = every(partial(finding, sensors=sensors), kind=(kind,), seed=range(args.limit or 100))
         known[kind] = Suite(cases, summary=found, quick=10, code=LOCALISATION, show=False)

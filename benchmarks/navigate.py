@@ -232,7 +232,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
         count = args.limit or (scenario.short if args.quick else scenario.count)
         seeds = range(args.first, args.first + count)
         cases = [Case(f"{name} {k}", partial(episode_row, scenario, k), about(scenario, k)) for k in seeds]
-        found[name] = Suite(cases, quick=count, show=False)
+        found[name] = Suite(cases, quick=count, code=(), show=False)
     return found
 
 

@@ -244,19 +244,14 @@ def suites(args: Namespace) -> dict[str, Suite]:
         shut = partial(refusal_row, count=queries, out=out)
         refusals += every(shut, map=(map,), robot=(robot,), goals=REFUSED)
     return {
-        "plan": Suite(plans, summary=table, quick=len(plans), kept=False, show=False),
-        "refused": Suite(refusals, summary=refused, quick=len(refusals), kept=False, show=False),
+        "plan": Suite(plans, summary=table, quick=len(plans), show=False),
+        "refused": Suite(refusals, summary=refused, quick=len(refusals), show=False),
     }
 
 
-def main() -> None:
+if __name__ == "__main__":
     parser = options(__doc__, "data/benchmarks/plan", "few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
     args, known = parsed(parser, suites)
-    rows = [row for row in run(args, known).get("plan", []) if "error" not in row]
-    if rows:
+    if rows := [row for row in run(args, known).get("plan", []) if "error" not in row]:
         write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
-
-
-if __name__ == "__main__":
-    main()

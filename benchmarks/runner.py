@@ -95,7 +95,7 @@ class Suite:
     """Cases with one table, of which the first `quick` are a sample.
 
     `summary` makes a second table of all rows, and `complete` adds to each row what only all of them tell.
-    Rows that are `kept` stand while the `code` in some folders and files of the project is the same.
+    Rows stand while the `code` in these folders and files of the project is the same; without, none stands.
     """
 
     cases: Sequence[Case]
@@ -103,8 +103,7 @@ class Suite:
     summary: Callable[[list[Row]], list[Row]] | None = None
     complete: Callable[[list[Row]], list[Row]] = list
     quick: int = 0
-    code: tuple[str, ...] = ()
-    kept: bool = True
+    code: tuple[str, ...] | None = None
     show: bool = True
 
 
@@ -137,11 +136,9 @@ class Rows:
             with suppress(json.JSONDecodeError):
                 rows.append(json.loads(line))
 
-        def mine(row: Row) -> bool:
-            return bool(row.get("code", "") == code)
-
         # Of two rows of a case one of this code counts, whichever was first.
-        self._found = {row["case"]: row for row in sorted(rows, key=mine) if keep or mine(row)}
+        rows.sort(key=lambda row: row.get("code", "") == code)
+        self._found = {row["case"]: row for row in rows if keep or row.get("code", "") == code}
 
     def get(self, case: str) -> Row | None:
         """The row of a case, if it was measured."""
@@ -298,8 +295,8 @@ def run(args: argparse.Namespace, known: dict[str, Suite]) -> dict[str, list[Row
             suite = known[name]
             cases = [case for case in suite.cases if fnmatch.fnmatch(case.name, args.only)]
             cases = cases[: suite.quick if args.quick and args.limit is None else args.limit]
-            rows = Rows(rows_file(args.out, name), code_of(suite.code), keep=args.keep)
-            waiting = [case for case in cases if not suite.kept or rows.get(case.name) is None]
+            rows = Rows(rows_file(args.out, name), code_of(suite.code or ()), keep=args.keep)
+            waiting = [case for case in cases if suite.code is None or rows.get(case.name) is None]
             print(f"{name}: {len(cases)} cases, {len(waiting)} to measure", flush=True)
             try:
                 for case, row in in_processes(waiting, args.workers, 60.0 * args.minutes):

@@ -36,7 +36,7 @@ def measure(world: str, robot: str, sensors: str) -> Row:
 def suites(args: Namespace) -> dict[str, Suite]:
     """One table."""
     cases = each(partial(measure, sensors=args.sensors), ("world", "robot"), CASES)
-    return {"sim": Suite(cases, quick=3, kept=False)}
+    return {"sim": Suite(cases, quick=3)}
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -73,9 +72,8 @@ def serve_here(world: str, map_path: Path | None, folder: Path, told: Connection
     """What the other process does: a studio; its address is told."""
     sockets = listen(LOOPBACK, 0)
     access = Access(new_token(), LOOPBACK, sockets[0].getsockname()[1])
-    told_when_ready = partial(told.send, access.url)
     with Stamped(StudioSetup(world, ROBOT, 1, map_path), folder, lambda line: None) as session:
-        asyncio.run(serve(session, access, sockets, interrupted=[], ready=told_when_ready))
+        asyncio.run(serve(session, access, sockets, interrupted=[], ready=lambda: told.send(access.url)))
 
 
 @contextmanager
