@@ -173,12 +173,10 @@ class Campaign(Settings):
 
 
 def levels_of(levels: Levels) -> list[Scalar]:
-    """The levels of a factor that is not drawn."""
+    """The levels of a factor; none of one that is drawn."""
     if isinstance(levels, Range):
         return list(range(levels.first, levels.last + 1))
-    if isinstance(levels, Uniform):
-        raise ValueError("a drawn factor has no levels")
-    return list(levels)
+    return [] if isinstance(levels, Uniform) else list(levels)
 
 
 def campaign_path(name_or_path: str) -> Path:

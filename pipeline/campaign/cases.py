@@ -87,9 +87,7 @@ class LevelText(str):
             return str(self)
         if "|" in spec:
             texts = spec.split("|")
-            known = (
-                [] if isinstance(self.levels, Uniform) else [str(level) for level in levels_of(self.levels)]
-            )
+            known = [str(level) for level in levels_of(self.levels)]
             place = known.index(self) if known else 0
             if place >= len(texts):
                 raise ValueError(f"'{spec}' has no text for level {self} (number {place + 1})")

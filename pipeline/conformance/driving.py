@@ -15,6 +15,7 @@ from turtlebag.pipeline.conformance.room import (
     broken,
     bytes_of,
     made,
+    require_near,
     room,
     told,
 )
@@ -33,8 +34,9 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import CONTROL_HZ, SimConfig, Simulator
 
 PERIOD = 1.0 / CONTROL_HZ
-AT_GOAL_M, AT_GOAL_RAD, DRIVE_S = 0.2, 0.35, 45.0
-"""Where a controller must have come to after so long."""
+AT_GOAL, DRIVE_S = (0.2, 0.35), 45.0
+"""How near to the goal [m], [rad] a controller must have come after so long."""
+SLACK = 1e-6
 TASK_S = 6.0
 
 
@@ -106,13 +108,7 @@ def check_controller(controller: Callable[[RobotModel, float], Controller]) -> N
         raise broken(controller, "the same path must give the same bytes")
     if bytes_of(path.xyt, costmap.lethal) != before:
         raise broken(controller, "it must not change the path or the costmap")
-    off = apart(path[-1], SE2(first[0][-1]))
-    if off[0] > AT_GOAL_M or off[1] > AT_GOAL_RAD:
-        raise broken(
-            controller,
-            f"{off[0]:.2f} m, {off[1]:.2f} rad from the goal after {DRIVE_S:g} s, at most {AT_GOAL_M} m, "
-            f"{AT_GOAL_RAD} rad",
-        )
+    require_near(controller, f"the goal after {DRIVE_S:g} s", path[-1], SE2(first[0][-1]), AT_GOAL)
     one: Controller = made(controller, Controller, model, PERIOD)
     last = Twist(model.max_v, 0.0)
     for _ in range(round(5.0 / PERIOD)):
@@ -149,16 +145,18 @@ def _require_command(part: object, method: str, command: Twist, last: Twist, mod
     """AssertionError unless it is a command that the robot can obey after the last one."""
     with told():
         require_twist(part, method, command)
-    slack = 1e-6
-    if abs(command.v) > model.max_v + slack or abs(command.w) > model.max_w + slack:
-        raise broken(
-            part, f"{method}: {command} is beyond the robot's {model.max_v} m/s, {model.max_w} rad/s"
-        )
+    _require_within(part, method, command, model)
     changes = abs(command.v - last.v) / model.max_dv, abs(command.w - last.w) / model.max_dw
-    if max(changes) > PERIOD + slack:
+    if max(changes) > PERIOD + SLACK:
         raise broken(
             part, f"{method}: from {last} to {command} is more than the robot can do in {PERIOD:.3f} s"
         )
+
+
+def _require_within(part: object, method: str, command: Twist, model: RobotModel) -> None:
+    if abs(command.v) > model.max_v + SLACK or abs(command.w) > model.max_w + SLACK:
+        limits = f"{model.max_v} m/s, {model.max_w} rad/s"
+        raise broken(part, f"{method}: {command} is beyond the robot's limits, {limits}")
 
 
 def check_task(task: Callable[[Any, Any], Task], *, on_a_map: bool = False) -> None:
@@ -192,9 +190,7 @@ def _run(task: Callable[[Any, Any], Task], on_a_map: bool) -> Array:
             command = one.step(observation)
             with told():
                 require_task(one, observation, command)
-            limits = robot.model.max_v + 1e-6, robot.model.max_w + 1e-6
-            if abs(command.v) > limits[0] or abs(command.w) > limits[1]:
-                raise broken(one, f"step: {command} is beyond the robot's limits")
+            _require_within(one, "step", command, robot.model)
             commands.append([command.v, command.w])
             if one.finished:
                 break

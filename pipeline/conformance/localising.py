@@ -20,6 +20,7 @@ from turtlebag.pipeline.conformance.room import (
     made,
     ranges_from,
     require_information,
+    require_near,
     room,
     told,
     wheels,
@@ -27,8 +28,8 @@ from turtlebag.pipeline.conformance.room import (
 from turtlebag.pipeline.localisation.localiser import Localiser, require_estimate
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
-NEAR_M, NEAR_RAD = 0.1, 0.05
-"""How far off it may be at the end of a lap."""
+NEAR = 0.1, 0.05
+"""How far off [m], [rad] it may be at the end of a lap."""
 
 
 def check_localiser(localiser: Callable[..., Localiser]) -> None:
@@ -44,13 +45,7 @@ def check_localiser(localiser: Callable[..., Localiser]) -> None:
     if bytes_of(first[0][:20]) != bytes_of(again[0]):
         raise broken(localiser, "the same scans and the same rng must give the same bytes")
     one = first[1]
-    off = apart(SE2(poses[-1]), one.T_map_odom @ SE2(odometry[-1]))
-    if off[0] > NEAR_M or off[1] > NEAR_RAD:
-        raise broken(
-            localiser,
-            f"off by {off[0]:.2f} m, {off[1]:.2f} rad at the end of a lap, "
-            f"at most {NEAR_M} m, {NEAR_RAD} rad",
-        )
+    require_near(localiser, "the end of a lap", SE2(poses[-1]), one.T_map_odom @ SE2(odometry[-1]), NEAR)
     if not (one.converged and one.agrees) or one.lost:
         raise broken(localiser, "after a lap it must be converged, agree with the map and not be lost")
     T_odom, before = SE2(odometry[-1]), bytes_of(one.T_map_odom.xyt)

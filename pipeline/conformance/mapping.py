@@ -20,6 +20,7 @@ from turtlebag.pipeline.conformance.room import (
     log,
     made,
     require_information,
+    require_near,
     told,
 )
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
@@ -31,8 +32,8 @@ from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_align
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.tracker import Tracker
 
-OFF_M, OFF_RAD = 0.1, 0.05
-"""How far off a lap of a room of 8 m x 6 m may end up, scans placed one after another."""
+OFF = 0.1, 0.05
+"""How far off [m], [rad] a lap of a room of 8 m x 6 m may end up, scans placed one after another."""
 EMPTY, GAP, BACK, HOSTILE = (12, 13), 24, 34, 40
 """Of so many scans: those without return, the first after a gap of 10 s, and one stamped before the last."""
 
@@ -52,13 +53,7 @@ def check_front_end(front_end: Callable[[Any], FrontEnd], *, without_odometry: b
         if odometry and _bytes_of(track) != _bytes_of(_tracked(front_end, recording)):
             raise broken(front_end, "the same log must give the same bytes")
         require_information(front_end, said, track.information)
-        off = apart(track.T_track_base, truth)
-        if off[0] > OFF_M or off[1] > OFF_RAD:
-            raise broken(
-                front_end,
-                f"{said}: off by up to {off[0]:.2f} m, {off[1]:.2f} rad on a lap of a room, "
-                f"at most {OFF_M} m, {OFF_RAD} rad",
-            )
+        require_near(front_end, f"a lap of a room {said}", track.T_track_base, truth, OFF)
         if len(track.keys) < 5:
             raise broken(front_end, f"{said}: it must be sure of its poses where scans fit (Placed.sure)")
         _check_hostile(front_end, recording, said)
@@ -130,11 +125,7 @@ def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
     if bytes_of(pose, information) != bytes_of(again[0], again[1]):
         raise broken(matcher, "the same stretches must give the same bytes")
     require_information(matcher, "match", information)
-    off = apart(SE2(true), SE2(pose))
-    if off[0] > 0.05 or off[1] > 0.02:
-        raise broken(
-            matcher, f"match: {off[0]:.3f} m, {off[1]:.3f} rad off from a near start: 0.05, 0.02 at most"
-        )
+    require_near(matcher, "match: from a near start", SE2(true), SE2(pose), (0.05, 0.02))
     if not 0.6 < overlap <= 1.0:
         raise broken(matcher, f"match: overlap {overlap:.2f} where all that is seen is the same; 0.6 to 1")
     one = made(matcher, LoopMatch)

@@ -119,6 +119,14 @@ def apart(T_a: SE2, T_b: SE2) -> tuple[float, float]:
     return float(np.hypot(xyt[:, 0], xyt[:, 1]).max()), float(np.abs(xyt[:, 2]).max())
 
 
+def require_near(part: object, where: str, T_a: SE2, T_b: SE2, most: tuple[float, float]) -> None:
+    """AssertionError unless two poses, or all of (n,), are at most so far [m], [rad] from each other."""
+    off = apart(T_a, T_b)
+    if off[0] > most[0] or off[1] > most[1]:
+        allowed = f"at most {most[0]:g} m, {most[1]:g} rad"
+        raise broken(part, f"{where}: off by up to {off[0]:.3f} m, {off[1]:.3f} rad, {allowed}")
+
+
 def require_information(part: object, what: str, information: Array) -> None:
     """AssertionError unless matrices (..., 3, 3) are symmetric and nowhere below zero."""
     scale = max(1.0, float(np.abs(information).max()))

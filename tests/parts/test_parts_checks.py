@@ -71,7 +71,7 @@ def world(part):
             parts.NoStep,
             "has no method step; the contract is FrontEnd.step(points, odometry_step, wait_s)",
         ),
-        (testing.check_loop_match, parts.Anywhere, "off from a near start"),
+        (testing.check_loop_match, parts.Anywhere, "match: from a near start: off by up to"),
         (
             testing.check_loop_match,
             parts.Everywhere,
