@@ -235,7 +235,8 @@ def shortest(
     cost = np.full(states, np.inf, dtype=np.float32)
     before = np.full(states, -1, dtype=np.int64)
     is_goal = np.zeros(states, dtype=np.bool_)
-    cells = _cells(floor)
+    # Of the narrow states, in the order that `number_cells` counts in.
+    cells = np.flatnonzero(floor.numbers >= 0)
     for state in goals:
         is_goal[_id(floor, state[0], state[1], state[2])] = True
     queue = [(0.0, 0.0, 0)]
@@ -273,18 +274,6 @@ def _id(floor: Floor, r: int, c: int, k: int) -> int:
     if floor.numbers[r, c] == WIDE:
         return r * cols + c
     return rows * cols + int(floor.numbers[r, c]) * len(floor.headings) + k
-
-
-@njit(cache=True)
-def _cells(floor: Floor) -> NDArray[np.int64]:
-    """The cells of the narrow states, to find the way back: the inverse of `numbers`."""
-    rows, cols = floor.numbers.shape
-    out = np.empty(len(floor.stands) // len(floor.headings), dtype=np.int64)
-    for r in range(rows):
-        for c in range(cols):
-            if floor.numbers[r, c] >= 0:
-                out[floor.numbers[r, c]] = r * cols + c
-    return out
 
 
 @njit(cache=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import scipy
@@ -186,7 +187,7 @@ def _settled(
         if overlap < config.min_overlap:  # whatever the other scans say
             return _low_overlap(query, other, score, replace(result, overlap=overlap))
     both = np.vstack([at, at_place[::2]])
-    pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
+    pairs = np.array([*product(range(len(at)), range(len(at), len(both)))])
     violation = mean_violation(clouds, np.concatenate([keys[few], place[::2]]), both, pairs, 1.0)
     information = result.information
     place_found = Recognised(

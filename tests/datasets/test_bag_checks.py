@@ -151,6 +151,7 @@ def scanned(n=11, angles=(0.0, 1.0, 0.1), times=(0.0, 0.1), limits=(0.1, 8.0), *
     [
         (scanned(), []),
         (scanned(angles=(0.0, 1.0, 0.0)), []),
+        (scanned(angles=(-0.4, 0.4, 0.0)), []),
         (scanned(angles=(0.0, 1.049, 0.1)), []),
         (
             scanned(angles=(0.0, 1.051, 0.1)),

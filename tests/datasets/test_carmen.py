@@ -34,10 +34,19 @@ def test_stamp_pose_and_beams_of_a_line(tmp_path):
     [(180, 89.0, 1.0), (181, 90.0, 1.0), (360, 89.5, 0.5), (361, 90.0, 0.5)],
 )
 def test_field_of_view_follows_from_the_number_of_beams(tmp_path, beams, last_deg, step_deg):
-    lidar = load_recording(write(tmp_path, flaser(np.ones(beams)))).lidar
+    found = load_recording(write(tmp_path, flaser(np.ones(beams))))
+    lidar = found.lidar
     assert math.degrees(lidar.angles[0]) == pytest.approx(-90.0)
     assert math.degrees(lidar.angles[-1]) == pytest.approx(last_deg)
     assert math.degrees(lidar.angle_increment) == pytest.approx(step_deg)
+    assert not any("assumed" in note for note in found.notes)
+
+
+def test_half_a_circle_is_assumed_and_said_of_a_number_of_beams_that_no_sick_has(tmp_path):
+    found = load_recording(write(tmp_path, flaser(np.ones(91)) * 2 + flaser(np.ones(90))))
+    np.testing.assert_allclose(np.degrees(found.lidar.angles), np.arange(-90.0, 91.0, 2.0), atol=1e-9)
+    assert "91 beams: a field of view of 180 degrees is assumed" in found.notes
+    assert "1 scans with other than 91 beams skipped" in found.notes
 
 
 def test_robotlaser_line_states_its_field_of_view(tmp_path):

@@ -21,6 +21,7 @@ from turtlebag.planners.control.monitor import (
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.smoothing import densify, with_headings
+from turtlebag.sim.robots import load_robot
 
 DT = 1.0 / 30.0
 LIMITS = SpeedLimits(0.22, 1.5, 0.8, 3.0, DT)
@@ -189,6 +190,23 @@ def test_dwa_goes_round_a_block_that_the_path_does_not_know_and_settles(goal_yaw
     assert abs(wrap(poses[-1, 2] - goal_yaw)) < 0.03
     assert costmap.clearance_at(poses[:, :2]).min() > 0.105
     assert np.abs(np.diff(commands[:, 0], prepend=0.0)).max() <= 0.8 * BURGER.max_dv * DT + 1e-9
+
+
+def test_dwa_settles_on_the_goal_once_it_is_near():
+    costmap = big_room()
+    line = densify(np.array([[1.0, 4.4], [5.0, 4.4]]), 0.05)
+    controller = Dwa(BURGER, DwaConfig(), DT)
+    controller.set_path(with_headings(line, 0.0, 0.0))
+    for x, state in ((4.54, "follow"), (4.56, "settle"), (4.5, "follow")):
+        controller.command(SE2.from_xyt(x, 4.4, 0.0), Twist(), costmap)
+        assert controller.state == state
+
+
+@pytest.mark.parametrize("robot", ["burger", "waffle_pi"])
+def test_no_obstacle_of_a_cell_slips_between_the_points_that_dwa_looks_at(robot):
+    samples = Dwa(load_robot(robot).model, DwaConfig(), DT).samples
+    outline = samples.points[: samples.outline]
+    assert np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1).max() <= 0.05
 
 
 def test_curvature_of_a_circle_and_braking_before_a_slow_place():

@@ -12,6 +12,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
+from turtlebag.pipeline.slam.drift import HONEST
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, joined, without
@@ -216,13 +217,28 @@ def test_the_odometry_is_calibrated_at_25_key_scans_whenever_they_have_doubled_a
     assert asked == [25, 50, 100, 200, len(track.keys)]
 
 
+def growing_loops(n, information):
+    """The loops of n keys, every fourth of which waits, and their clouds."""
+    clouds, every = make_clouds(first(n), 8.0, noise=NOISE), np.arange(n)
+    loops = GrowingLoops(clouds, TRUE[0], LoopConfig(every=4))
+    for k, step in enumerate(SE2(TRUE[:n]).steps()):
+        scans = KeyScans(clouds, every[: k + 2])
+        loops.add_key(scans, step, [Constraint(0, 1, step, information, "step")])
+    return loops, clouds
+
+
+def test_a_key_is_as_unsure_as_all_steps_from_the_first_together():
+    sigma_m = 0.01
+    sure_of_yaw = HONEST * np.diag([sigma_m**-2, sigma_m**-2, 1e10])
+    loops, _ = growing_loops(5, sure_of_yaw)
+    loops.work()
+    assert loops.sigma_m == pytest.approx(2.0 * sigma_m, rel=1e-3)  # four steps
+
+
 @pytest.mark.parametrize("found", [False, True])
 def test_keys_that_wait_and_the_loop_found_are_the_same_when_others_have_gone(found):
-    clouds, every = make_clouds(first(12), 8.0, noise=NOISE), np.arange(12)
-    loops = GrowingLoops(clouds, TRUE[0], LoopConfig(every=4))
-    for k, step in enumerate(SE2(TRUE[:12]).steps()):
-        scans = KeyScans(clouds, every[: k + 2])
-        loops.add_key(scans, step, [Constraint(0, 1, step, 1e4 * np.eye(3), "step")])
+    loops, clouds = growing_loops(12, 1e4 * np.eye(3))
+    every = np.arange(12)
     assert list(loops._waiting) == [4, 8]
     if found:
         loops._found = Loop(10, 2, np.zeros(3), 1.0, 1.0, 0.0, 1.0, "accepted", np.eye(3))

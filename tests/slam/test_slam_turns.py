@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.turn_comparison import Timing, compared_turns, in_step
+from turtlebag.pipeline.slam.turn_comparison import DELAYS_S, Timing, _Turns, compared_turns, in_step
 
 ROUTE = np.array(
     [(14.7, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5), (14.7, 7.0)]
@@ -53,6 +53,13 @@ def late(recording, seconds):
     stream = recording.odometry or Trajectory(recording.stamps_ns, recording.T_odom_base)
     moved = recording.odometry and Trajectory(stream.stamps_ns + ns, stream.poses)
     return replace(recording, T_odom_base=stream.at(recording.stamps_ns - ns), odometry=moved)
+
+
+def test_one_in_three_stretches_are_the_first_the_fourth_and_so_on():
+    off = np.arange(2.0 * len(DELAYS_S) * 6).reshape(2, len(DELAYS_S), 6)
+    some = _Turns(off, np.array([0, 1, 2, 3, 3, 5])).some(3)
+    assert some.stretch.tolist() == [0, 3, 3]
+    np.testing.assert_array_equal(some.off, off[:, :, [0, 3, 4]])
 
 
 @pytest.mark.slow
