@@ -16,11 +16,13 @@ from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import icp_odometry, place_recognition
+from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.drift import drift_of
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.icp_odometry import Lines
+from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_search import LoopConfig
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
@@ -336,6 +338,32 @@ def test_a_place_is_looked_for_about_where_the_chain_has_it(monkeypatch):
     place_recognition._candidates(scans, drift, [], PlaceRecognitionConfig(candidates=2), LoopConfig())
     assert len(begun) > 4
     assert not np.any(begun)
+
+
+@pytest.mark.parametrize(
+    ("few", "verdict"), [((0.6, 0.9, 0.6), "candidate"), ((0.2, 0.9, 0.6), "low overlap")]
+)
+def test_a_place_fits_as_well_as_one_in_four_scans_do_and_violates_as_little_free_space(few, verdict):
+    truth = around_the_room(40)
+    scans = KeyScans(make_clouds(recording(ROOM, truth), 30.0), np.arange(40))
+    told = iter([0.9, 0.9, *few])
+
+    class Told(LineMatch):
+        def match(self, clouds, query, place, start, limits):
+            return Alignment(SE2(start), 1e4 * np.eye(3), next(told), 0.01, 0.0)
+
+    def about(middle):
+        keys = np.arange(middle - 4, middle + 5)
+        T_middle_keys = (SE2(truth[middle]).inverse() @ SE2(truth[keys])).xyt
+        return SimpleNamespace(middle=middle, keys=keys, T_middle_keys=T_middle_keys)
+
+    start = between(truth[4], truth[12])
+    config = PlaceRecognitionConfig(min_overlap=0.6)
+    found = place_recognition._settled(scans, about(12), about(4), start, 0.8, config, Told())
+    assert (found.i, found.j, found.verdict) == (12, 4, verdict)
+    if verdict == "candidate":
+        assert found.overlap == pytest.approx(0.7)
+        assert found.violation < 0.01
 
 
 def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
