@@ -66,8 +66,8 @@ def deskewed_points(points: Array, fractions: Array, knots: Array) -> Array:
     """
     out = np.empty_like(points)
     w, v = np.zeros(3), np.zeros(3)
-    last = knots.shape[0] - 1
-    for i in range(points.shape[0]):
+    last = len(knots) - 1
+    for i in range(len(points)):
         at = min(max(fractions[i], 0.0), 1.0) * last
         k = min(int(at), last - 1)
         f = at - k

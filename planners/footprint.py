@@ -84,7 +84,7 @@ def footprint_clearance(
         return center - footprint.circumscribed
     c, s = math.cos(yaw), math.sin(yaw)
     points, least = footprint.points, center - footprint.inscribed
-    for k in range(points.shape[0]):
+    for k in range(len(points)):
         px = x + c * points[k, 0] - s * points[k, 1]
         py = y + s * points[k, 0] + c * points[k, 1]
         d = field_at(field, resolution, px, py)
@@ -178,12 +178,12 @@ def path_clearance(
 ) -> float:
     """Least footprint clearance over the poses (n, 3) of a path, from the one nearest (x, y) on [m]."""
     first, best = 0, np.inf
-    for k in range(poses.shape[0]):
+    for k in range(len(poses)):
         d = math.hypot(poses[k, 0] - x, poses[k, 1] - y)
         if d < best:
             best, first = d, k
     least, driven = np.inf, 0.0
-    for k in range(first + 1, poses.shape[0]):
+    for k in range(first + 1, len(poses)):
         driven += math.hypot(poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1])
         if driven > ahead:
             break

@@ -137,7 +137,7 @@ def _mark_and_clear(
     """Walk each beam in half-cell steps, clearing; then mark where it ended, unless the map knows it."""
     rows, cols = seen.shape
     x, y, ends, n_hits, obstacle_range, known = beams
-    for k in range(ends.shape[0]):
+    for k in range(len(ends)):
         dx, dy = ends[k, 0] - x, ends[k, 1] - y
         length = math.hypot(dx, dy)
         if length < 1e-6:

@@ -22,7 +22,7 @@ def shortcut(field: Field32, resolution: float, radius: float, path: Array) -> A
     for _ in range(2):
         kept = np.empty_like(points)
         kept[0] = points[0]
-        count, at, last = 1, 0, points.shape[0] - 1
+        count, at, last = 1, 0, len(points) - 1
         while at < last:
             target = last
             while target > at + 1 and not disc_segment_free(
@@ -46,13 +46,13 @@ def shortcut(field: Field32, resolution: float, radius: float, path: Array) -> A
 def densify(path: Array, spacing: float) -> Array:
     """The polyline (n, 2) with points no further apart than `spacing`; corners stay."""
     total = 1
-    for k in range(path.shape[0] - 1):
+    for k in range(len(path) - 1):
         length = math.hypot(path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1])
         total += max(1, math.ceil(length / spacing))
     out = np.empty((total, 2))
     out[0] = path[0]
     count = 1
-    for k in range(path.shape[0] - 1):
+    for k in range(len(path) - 1):
         length = math.hypot(path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1])
         steps = max(1, math.ceil(length / spacing))
         for i in range(1, steps + 1):
@@ -88,7 +88,7 @@ def relax(field: Field32, resolution: float, radius: float, path: Array, band: B
     out = path.copy()
     h = resolution
     for _ in range(sweeps):
-        for k in range(1, out.shape[0] - 1):
+        for k in range(1, len(out) - 1):
             x, y = out[k, 0], out[k, 1]
             dx = pull * (0.5 * (out[k - 1, 0] + out[k + 1, 0]) - x)
             dy = pull * (0.5 * (out[k - 1, 1] + out[k + 1, 1]) - y)

@@ -48,15 +48,14 @@ def prepare(
     """
     ranges = scan.ranges.astype(np.float64)
     low, high = range_limits or (scan.lidar.range_min, scan.lidar.range_max)
-    hit = np.flatnonzero(scan.valid() & (ranges >= low) & (ranges <= high))
-    silent = np.flatnonzero(scan.lidar.silent(scan.ranges))
+    hit = scan.valid() & (ranges >= low) & (ranges <= high)
+    silent = scan.lidar.silent(scan.ranges)
     still = scan.lidar.time_increment == 0.0
     motion = np.zeros((1, 3)) if T_start_end is None or still else T_start_end.xyt[None]
-    beams, lidar = scan.lidar.directions, T_base_lidar.xyt
-    origins, directions = deskewed(beams[hit], hit / len(beams), lidar, motion)
-    silent_origins, silent_directions = deskewed(beams[silent], silent / len(beams), lidar, motion)
-    points = origins + directions * ranges[hit, None]
-    return Beams(points, origins, ranges[hit], silent_directions, silent_origins)
+    beams = scan.lidar.directions
+    origins, directions = deskewed(beams, np.arange(len(beams)) / len(beams), T_base_lidar.xyt, motion)
+    points = origins[hit] + directions[hit] * ranges[hit, None]
+    return Beams(points, origins[hit], ranges[hit], directions[silent], origins[silent])
 
 
 def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:

@@ -21,7 +21,7 @@ def project(
 ) -> tuple[float, float]:
     """Nearest place on the polyline between two arc lengths: (its arc length, distance to it)."""
     best_s, best_d2 = s_from, np.inf
-    for k in range(points.shape[0] - 1):
+    for k in range(len(points) - 1):
         if lengths[k + 1] < s_from or lengths[k] > s_to:
             continue
         ax, ay = points[k, 0], points[k, 1]
@@ -37,7 +37,7 @@ def project(
 @njit(cache=True)
 def point_at(points: Array, lengths: Array, s: float) -> tuple[float, float]:
     """The point at an arc length of the polyline, held at its ends."""
-    k = min(max(np.searchsorted(lengths, s) - 1, 0), points.shape[0] - 2)
+    k = min(max(np.searchsorted(lengths, s) - 1, 0), len(points) - 2)
     span = lengths[k + 1] - lengths[k]
     f = 0.0 if span == 0.0 else min(max((s - lengths[k]) / span, 0.0), 1.0)
     return (
@@ -49,7 +49,7 @@ def point_at(points: Array, lengths: Array, s: float) -> tuple[float, float]:
 @njit(cache=True)
 def curvature_along(points: Array, lengths: Array, arm: float) -> Array:
     """Curvature at each point of a polyline (n, 2) from the circle through points `arm` before and after."""
-    n = points.shape[0]
+    n = len(points)
     out = np.zeros(n)
     for k in range(1, n - 1):
         i, j = k, k

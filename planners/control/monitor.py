@@ -111,7 +111,7 @@ def moved(x: float, y: float, yaw: float, v: float, w: float, t: float) -> tuple
 def depth_inside(polygon: Array, x: float, y: float) -> float:
     """How deep a point lies inside a convex polygon (n, 2), counter-clockwise; negative outside."""
     least = np.inf
-    n = polygon.shape[0]
+    n = len(polygon)
     for k in range(n):
         ax, ay = polygon[k, 0], polygon[k, 1]
         ex, ey = polygon[(k + 1) % n, 0] - ax, polygon[(k + 1) % n, 1] - ay
@@ -127,11 +127,11 @@ def free_time(
 
     Points inside already count only once they get deeper than they were.
     """
-    near = np.empty(points.shape[0], dtype=np.int64)
-    start = np.empty(points.shape[0])
+    near = np.empty(len(points), dtype=np.int64)
+    start = np.empty(len(points))
     count = 0
     limit = reach + abs(v) * horizon
-    for k in range(points.shape[0]):
+    for k in range(len(points)):
         if math.hypot(points[k, 0], points[k, 1]) <= limit:
             near[count] = k
             start[count] = depth_inside(polygon, points[k, 0], points[k, 1])

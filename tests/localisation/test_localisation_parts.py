@@ -183,6 +183,9 @@ def test_deskewing_undoes_the_sweeps_motion():
     t = np.clip(((ends[:, None] - a) * (b - a)).sum(-1) / ((b - a) ** 2).sum(-1), 0.0, 1.0)
     distance = np.linalg.norm(ends[:, None] - (a + t[..., None] * (b - a)), axis=-1).min(axis=1)
     assert distance.max() < 1e-6
+    silent = prepare(Scan(0, np.full(360, np.inf, np.float32), LIDAR), T_BASE_LIDAR, T_start_end)
+    np.testing.assert_allclose(silent.silent_origins, origins)
+    np.testing.assert_allclose(silent.silent_directions, directions)
 
 
 def test_nan_and_minus_inf_are_dropped_and_what_is_past_range_max_is_silent():

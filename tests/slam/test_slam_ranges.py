@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from tests.helpers.made_logs import rooms
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.range_calibration import RangeCalibration, calibrate_ranges
+from tests.helpers.slam_rooms import ROOM, around_the_room
+from tests.helpers.slam_rooms import recording as recorded
+from turtlebag.pipeline.slam.clouds import UNSURE_RAD, make_clouds
+from turtlebag.pipeline.slam.range_calibration import BESIDE, RangeCalibration, _straight, calibrate_ranges
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 
 ERRORS = RangeCalibration(0.006, -0.003)
@@ -52,6 +54,19 @@ def test_turns_that_measure_longer_than_others_are_no_error_of_all():
 @pytest.mark.slow
 def test_a_lidar_that_measures_right_is_left_alone():
     assert learnt(log_of(rooms), RangeCalibration()) == RangeCalibration()
+
+
+def test_surfaces_count_that_go_on_in_one_direction_to_either_side():
+    clouds = make_clouds(recorded(ROOM, around_the_room(4)), 8.0)
+    expected = np.zeros(len(clouds.points), dtype=bool)
+    for key in (0, 2):
+        scan = slice(clouds.starts[key], clouds.starts[key + 1])
+        normals, line_ok = clouds.normals[scan], clouds.line_ok[scan]
+        alike = (normals[BESIDE:] * normals[:-BESIDE]).sum(axis=1) > np.cos(UNSURE_RAD)
+        goes_on = alike & line_ok[BESIDE:] & line_ok[:-BESIDE]
+        expected[scan][BESIDE:-BESIDE] = goes_on[BESIDE:] & goes_on[:-BESIDE]
+        assert 40 < expected[scan].sum() < goes_on.sum()
+    np.testing.assert_array_equal(_straight(clouds, np.array([0, 2])), expected)
 
 
 def test_a_return_stays_a_return_and_nothing_else_changes():
