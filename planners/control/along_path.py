@@ -37,7 +37,7 @@ def project(
 @njit(cache=True)
 def point_at(points: Array, lengths: Array, s: float) -> tuple[float, float]:
     """The point at an arc length of the polyline, held at its ends."""
-    k = min(max(np.searchsorted(lengths, s) - 1, 0), len(points) - 2)
+    k = min(max(np.searchsorted(lengths, s) - 1, 0), points.shape[0] - 2)
     span = lengths[k + 1] - lengths[k]
     f = 0.0 if span == 0.0 else min(max((s - lengths[k]) / span, 0.0), 1.0)
     return (
