@@ -183,6 +183,10 @@ class Trajectory:
         low, high, fraction = neighbours(self.stamps_ns, np.asarray(stamps_ns))
         return self.poses[low].interpolate(self.poses[high], fraction)
 
+    def sampled(self, stamps_ns: Stamps) -> Trajectory:
+        """The same path with poses at the given stamps, as `at` finds them."""
+        return Trajectory(stamps_ns, self.at(stamps_ns))
+
 
 @dataclass(frozen=True, eq=False)
 class ImuLog:

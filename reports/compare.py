@@ -181,9 +181,7 @@ def driven(stage: Stage) -> Trajectory | None:
 
 def _errors(stage: Stage) -> tuple[Stamps, Array] | None:
     """A run's localisation error [m], by the time since its first scan."""
-    if stage.kind != "navigate" or stage.trajectory is None or stage.truth is None:
-        return None
-    if not stage.metrics.get("localisation_error_m"):
+    if stage.kind != "navigate" or not stage.localised or stage.trajectory is None or stage.truth is None:
         return None
     pairs = associate(stage.trajectory, stage.truth)
     return pairs.stamps_ns - pairs.stamps_ns[0], pairs.position_errors()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -149,7 +149,7 @@ def interactive_map_of(group: Group) -> InteractiveMap | None:
         return None
     if with_goals is None:
         return interactive_map(grid, {"SLAM path": ("slam", built.trajectory if built else None)}, [])
-    believed = "estimate" if with_goals.metrics.get("localisation_error_m") else "odometry"
+    believed = "estimate" if with_goals.localised else "odometry"
     paths = {
         f"true path ({with_goals.title})": ("truth", with_goals.truth),
         believed: ("estimate", with_goals.trajectory),
@@ -276,6 +276,12 @@ def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
         status = f"not localised: the filter reported success, but was {off} off at the end"
     reason = f": {metrics['reason']}" if metrics.get("reason") else ""
     return (GOOD if good else BAD), f"{status[0].upper()}{status[1:]}{reason}{known}."
+
+
+def overall_mood(moods: Iterable[str]) -> str:
+    """Bad where one is, else good where one is."""
+    found = set(moods)
+    return next((mood for mood in (BAD, GOOD) if mood in found), NEUTRAL)
 
 
 def collision_count(metrics: Mapping[str, Any]) -> int:

@@ -122,7 +122,7 @@ def _add_errors(album: Album, slam: Trajectory, odometry: Trajectory | None, tru
     def draw() -> Figure:
         at_scans = None
         if odometry is not None:
-            at_scans = associate(Trajectory(truth.stamps_ns, odometry.at(truth.stamps_ns)), truth)
+            at_scans = associate(odometry.sampled(truth.stamps_ns), truth)
         return series.error_over_time(associate(slam, truth), at_scans, truth)
 
     caption = (
@@ -153,7 +153,7 @@ def draw_run(stage: Stage, group: Group, album: Album) -> None:
     contact = log.contact_visible | log.contact_low
     episodes = collision_episodes(log.t_ns, contact)
     first = contact & ~np.concatenate([[False], contact[:-1]])
-    estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
+    estimate = stage.trajectory if stage.localised else None
     decisions = decisions_of(log) if not goals and stage.fact("task") == "avoid" else None
     caption = _run_caption(estimate is not None, bool(goals), decisions)
     drawn = (world, truth, estimate, goals, log.T_world_base.xy[first], decisions)
@@ -229,7 +229,7 @@ def _add_run_animation(
 
 def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
     """The map a run that localised was given, else the true world."""
-    grid = group.given_map(stage) if stage.metrics.get("localisation_error_m") else None
+    grid = group.given_map(stage) if stage.localised else None
     return grid if grid is not None else stage.true_map
 
 
@@ -238,8 +238,8 @@ def _add_particles(stage: Stage, world: OccupancyGrid | None, truth: Trajectory,
     if not clouds:
         return
     start = int(truth.stamps_ns[0])
-    pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
-    snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
+    chosen = np.unique((np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int))
+    snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in chosen]
     caption = (
         "Each green stroke is a particle, a hypothesis of the robot's pose, or several that coincide; the "
         "arrow with a dot is the truth. Each panel is zoomed to the particles, so note its scale bar: they "

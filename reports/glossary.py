@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from markupsafe import Markup, escape
 
+from turtlebag.reports.stage_titles import slug
+
 
 @dataclass(frozen=True)
 class Word:
@@ -19,7 +21,7 @@ class Word:
     @property
     def anchor(self) -> str:
         """Fragment of the page's address."""
-        return "word-" + re.sub(r"[^a-z0-9]+", "-", self.name.lower())
+        return f"word-{slug(self.name)}"
 
 
 WORDS = (

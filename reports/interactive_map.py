@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +12,9 @@ from PIL import Image
 
 from turtlebag.datasets.grid import FREE, FREE_TO, OccupancyGrid
 from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.figures.album import data_address
 from turtlebag.reports.metrics.map import occupied
-from turtlebag.reports.metrics.navigation import truly_reached
+from turtlebag.reports.metrics.navigation import placed_goals, truly_reached
 
 PIXELS = {"occupied": 28, "unknown": 224, "free": 254}
 SPACING_M = 0.02
@@ -51,9 +51,8 @@ def interactive_map(
         if path is not None and len(path)
     ]
     marks = [
-        (float(goal["x"]), float(goal["y"]), number, "good" if truly_reached(goal) else "bad")
-        for number, goal in enumerate(goals, start=1)
-        if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float))
+        (float(x), float(y), number, "good" if truly_reached(goal) else "bad")
+        for number, x, y, goal in placed_goals(goals)
     ]
     return InteractiveMap(
         image=_png(grid),
@@ -83,7 +82,7 @@ def _png(grid: OccupancyGrid) -> str:
     pixels[occupied(grid)] = PIXELS["occupied"]
     buffer = io.BytesIO()
     Image.fromarray(pixels[::-1]).save(buffer, format="PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return data_address("png", buffer.getvalue())
 
 
 def _points(path: Trajectory) -> str:

@@ -11,11 +11,20 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from turtlebag.datasets.plurals import counted
-from turtlebag.reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
+from turtlebag.reports.content import (
+    BAD,
+    GOOD,
+    GOOD_WALLS,
+    NEUTRAL,
+    Chapter,
+    Part,
+    collision_count,
+    overall_mood,
+)
 from turtlebag.reports.figures import style
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.metric_specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
-from turtlebag.reports.metrics.navigation import truly_reached
+from turtlebag.reports.metrics.navigation import goal_counts
 from turtlebag.reports.numbers import lookup, shown
 from turtlebag.reports.provenance import packages, recipe
 from turtlebag.reports.stages import Group
@@ -107,8 +116,7 @@ def overall(chapters: Sequence[Chapter]) -> tuple[str, str]:
         aside = f"; the robot reported {believed}" if believed != good else ""
         headline = f"{good} of {counted(len(runs), 'task')} succeeded{aside}"
         return (GOOD if good == len(runs) else BAD), headline
-    moods = {part.verdict[0] for part in parts}
-    mood = next((mood for mood in (BAD, GOOD) if mood in moods), NEUTRAL)
+    mood = overall_mood(part.verdict[0] for part in parts)
     counts = {kind: sum(part.stage.kind == kind for part in parts) for kind in NOUNS}
     found = [counted(count, NOUNS[kind]) for kind, count in counts.items() if count]
     return mood, ", ".join(found) + ", no navigation"
@@ -121,8 +129,8 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
     found = []
     goals = [goal for part in runs for goal in part.metrics.get("goals") or []]
     if goals:
-        reached = sum(truly_reached(goal) for goal in goals)
-        believed = sum(goal.get("status") == "reached" for goal in goals)
+        counts = goal_counts(goals)
+        reached, believed = counts["goals_truly_reached"], counts["goals_reached"]
         mood = GOOD if reached == len(goals) else BAD
         meaning = "Goals of all runs that the robot had truly reached when it reported them as reached."
         note = f"the robot reported {believed}" if believed != reached else _tasks(runs)

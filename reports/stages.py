@@ -148,6 +148,11 @@ class Stage:
         path = self.folder / name
         return load_tum(path) if path.is_file() and path.stat().st_size > 0 else None
 
+    @property
+    def localised(self) -> bool:
+        """Whether a run went by a map: without one its trajectory.tum is the odometry."""
+        return bool(self.metrics.get("localisation_error_m"))
+
     @cached_property
     def true_map(self) -> OccupancyGrid | None:
         """The world at the lidar's height: truth/map.yaml."""

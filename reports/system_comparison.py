@@ -152,7 +152,7 @@ def _draw(measured: Sequence[Measured], known: References, album: Album) -> None
         caption = f"All paths, each moved as a whole to lie on {reference} best."
         album.add("paths", "Paths", caption, figures.paths, ground, known.truth, paths)
     errors = {
-        one.system.name: figures.over_time(one.paired)
+        one.system.name: (one.paired.estimate.stamps_ns, one.paired.errors_in_plane())
         for one in measured
         if one.paired is not None and (known.truth is not None or one is not measured[0])
     }

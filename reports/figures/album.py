@@ -77,10 +77,11 @@ class Album:
             self.folder.mkdir(parents=True, exist_ok=True)
             data = draw()
             (self.folder / f"{name}.gif").write_bytes(data)
-            gif, still = _address("gif", data), _address("png", last_frame(data))
+            gif, still = data_address("gif", data), data_address("png", last_frame(data))
             picture = Picture(name, title, caption, gif=gif, still=still)
         self.pictures.append(picture)
 
 
-def _address(kind: str, data: bytes) -> str:
+def data_address(kind: str, data: bytes) -> str:
+    """An image as the address of itself, for a page that needs no other file."""
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.reports.figures import style
 from turtlebag.reports.figures.maps import length_text, scale_length, view_box
-from turtlebag.reports.metrics.navigation import truly_reached
+from turtlebag.reports.metrics.navigation import placed_goals, truly_reached
 
 WIDTH_PX, HEIGHT_PX, STRIP_PX = 380, 376, 22
 FRAMES, FRAME_MS, HOLD_MS = 60, 90, 2500
@@ -35,17 +36,20 @@ SUPER = 2
 """Drawn this much larger, then averaged: smooth lines from plain ones."""
 
 UNSEEN, FREE, WALL, INK, BLUE, PURPLE, GREEN, ORANGE, SKY, GREY = range(10)
-COLOURS = (
-    (218, 223, 229),
-    (254, 254, 254),
-    (60, 68, 77),
-    (28, 32, 36),
-    (0, 114, 178),
-    (180, 85, 160),
-    (0, 158, 115),
-    (213, 94, 0),
-    (156, 203, 238),
-    (150, 158, 168),
+COLOURS = tuple(
+    ImageColor.getrgb(colour)
+    for colour in (
+        "#dadfe5",
+        style.PAPER,
+        "#3c444d",
+        style.INK,
+        style.SLAM,
+        style.ODOMETRY,
+        style.GOOD,
+        style.BAD,
+        style.TRUTH,
+        "#969ea8",
+    )
 )
 
 
@@ -193,11 +197,10 @@ def run(
             _scan(draw, canvas, recording, scans_at, int(truth.stamps_ns[row]))
         so_far = int(goal_index[: row + 1].max())
         pursued = int(goal_index[row]) if row < len(truth) - 1 else -1
-        for number, goal in enumerate(goals):
-            if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float)):
-                colour = _goal_colour(number, pursued, so_far, truly_reached(goal))
-                [(x, y)] = canvas.pixels(np.array([[goal["x"], goal["y"]]]))
-                draw.circle((x, y), 0.02 * canvas.size[0], fill=colour)
+        for number, x, y, goal in placed_goals(goals):
+            colour = _goal_colour(number - 1, pursued, so_far, truly_reached(goal))
+            [place] = canvas.pixels(np.array([[x, y]]))
+            draw.circle(place, 0.02 * canvas.size[0], fill=colour)
         _robot(draw, canvas, truth.poses[int(row)])
         canvas.caption(draw, float(truth.stamps_ns[row] - truth.stamps_ns[0]) * 1e-9)
         yield frame

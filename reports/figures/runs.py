@@ -29,7 +29,7 @@ from turtlebag.reports.figures.maps import (
     view_box,
 )
 from turtlebag.reports.figures.style import BAD, FINE_TO_BAD, GOOD, INK, MUTED, ODOMETRY, PAPER, SLAM
-from turtlebag.reports.metrics.navigation import outcome
+from turtlebag.reports.metrics.navigation import outcome, placed_goals
 
 # How each goal ended, by the truth: colour, marker, words. Orange is bad, whatever the shape.
 ENDS = {
@@ -96,10 +96,7 @@ def run(
 
 def _draw_goals(axes: Axes, goals: Sequence[Mapping[str, Any]]) -> set[str]:
     used = set()
-    for number, goal in enumerate(goals, start=1):
-        x, y = goal.get("x"), goal.get("y")
-        if not isinstance(x, (int, float)) or not isinstance(y, (int, float)):
-            continue
+    for number, x, y, goal in placed_goals(goals):
         end = outcome(goal)
         colour, marker, _ = ENDS.get(end, (MUTED, "o", end))
         used.add(end)

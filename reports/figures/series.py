@@ -11,6 +11,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, ScalarForm
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
+from turtlebag.reports.figures.maps import legend_above
 from turtlebag.reports.figures.style import AMCL, BAD, INK, LINES, new_figure
 from turtlebag.reports.metrics.trajectory import PosePairs
 
@@ -55,7 +56,7 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
         error_axis(axis)
     axes[0].set_ylabel("position\nerror [cm]")
     axes[1].set_ylabel("yaw\nerror [°]")
-    axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=2, borderaxespad=0.2)
+    legend_above(axes[0])
     t, v, w = speeds(truth)
     axes[2].plot(t, v, color=INK, linewidth=0.9)
     axes[2].set_ylabel("speed\n[m/s]")

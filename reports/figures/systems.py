@@ -23,9 +23,7 @@ from turtlebag.reports.figures.maps import (
 )
 from turtlebag.reports.figures.series import error_axis, stacked
 from turtlebag.reports.figures.style import INK, MUTED, ODOMETRY, SLAM
-from turtlebag.reports.metrics.evo import Paired
 from turtlebag.reports.metrics.map import occupied, walls_in
-from turtlebag.reports.metrics.trajectory import fit_rigid
 
 COLOURS = (SLAM, ODOMETRY, "#009e73", "#8a7f1f", "#56b4e9", INK)
 
@@ -42,13 +40,6 @@ def paths(
         axes.plot(xy[:, 0], xy[:, 1], color=_colour(number), linewidth=width, label=name, zorder=2)
     legend_above(axes)
     return figure
-
-
-def over_time(paired: Paired) -> tuple[Stamps, Array]:
-    """Stamps and distances to the reference after the fit in the plane [m]."""
-    xy, reference = paired.estimate.T[:, :2, 3], paired.reference.T[:, :2, 3]
-    distance = np.linalg.norm((fit_rigid(xy, reference) @ xy) - reference, axis=1)
-    return paired.estimate.stamps_ns, distance
 
 
 def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], label: str) -> Figure:

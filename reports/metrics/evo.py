@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.rivals import covered
-from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.se3 import interpolate, inverse, quaternions
 from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.datasets.types import Stamps, neighbours
 from turtlebag.reports.metrics.relations import nearest
+from turtlebag.reports.metrics.trajectory import fit_rigid
 
 MATCH_NS = 10_000_000
 """Stamps this near are one instant: evo's --t_max_diff."""
@@ -57,6 +58,15 @@ class Paired:
     def errors(self) -> Array:
         """Distances between the positions, (n,) [m]: evo_ape."""
         return np.asarray(np.linalg.norm(self.estimate.T[:, :3, 3] - self.reference.T[:, :3, 3], axis=1))
+
+    def fit_in_plane(self) -> SE2:
+        """The rigid motion in the plane that brings the estimate nearest."""
+        return fit_rigid(self.estimate.T[:, :2, 3], self.reference.T[:, :2, 3])
+
+    def errors_in_plane(self) -> Array:
+        """Distances between the positions from above after that fit, (n,) [m]."""
+        xy, reference = self.estimate.T[:, :2, 3], self.reference.T[:, :2, 3]
+        return np.asarray(np.linalg.norm((self.fit_in_plane() @ xy) - reference, axis=1))
 
     def aligned(self) -> Paired:
         """After the rigid motion in space that brings the estimate nearest: evo's --align."""

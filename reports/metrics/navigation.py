@@ -186,6 +186,17 @@ def truly_reached(goal: Mapping[str, Any]) -> bool:
     return outcome(goal) == "reached"
 
 
+def placed_goals(goals: Sequence[Mapping[str, Any]]) -> list[tuple[int, float, float, Mapping[str, Any]]]:
+    """Number from 1 on, x and y [m] of each goal that lies somewhere, and the goal: one that was rejected may
+    have no place.
+    """
+    return [
+        (number, goal["x"], goal["y"], goal)
+        for number, goal in enumerate(goals, start=1)
+        if all(isinstance(goal.get(name), (int, float)) for name in ("x", "y"))
+    ]
+
+
 def goal_counts(goals: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """`goals_truly_reached` and, by the robot's own word, `goals_reached`."""
     return {

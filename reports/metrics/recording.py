@@ -22,7 +22,7 @@ def recording_metrics(
     truth: Trajectory, odometry: Trajectory, truth_at_scans: Trajectory
 ) -> RecordingMetrics:
     """What a recording holds, by the true poses and those of /odom in its bag, and the truth at its scans."""
-    at_scans = Trajectory(truth_at_scans.stamps_ns, odometry.at(truth_at_scans.stamps_ns))
+    at_scans = odometry.sampled(truth_at_scans.stamps_ns)
     return {
         "scans": len(truth_at_scans),
         "duration_s": truth_at_scans.duration(),

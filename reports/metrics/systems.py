@@ -23,7 +23,7 @@ from turtlebag.reports.metrics.map import MapMetrics, map_metrics, visible_surfa
 from turtlebag.reports.metrics.placing import Placed, place
 from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.relations import MATCH_NS, RelationErrors, nearest, relations_metrics
-from turtlebag.reports.metrics.trajectory import Drift, fit_rigid, rpe
+from turtlebag.reports.metrics.trajectory import Drift, rpe
 
 WHOLE = 0.95
 """A system that covers less of the recording is compared over its own part too."""
@@ -112,23 +112,19 @@ def _measure_track(
         whole = ours.track.in_time()
         inside = whole[covered(whole.stamps_ns, track.stamps_ns)]
         numbers["ours_there"] = path_errors(evo.pair(inside, reference)) if len(inside) > 2 else None
-    T = fit_rigid(paired.estimate.T[:, :2, 3], paired.reference.T[:, :2, 3])
-    path = Trajectory3D(track.stamps_ns, lifted(T) @ track.T).planar()
+    path = Trajectory3D(track.stamps_ns, lifted(paired.fit_in_plane()) @ track.T).planar()
     notes = [*system.notes, *_notes(track, paired, span)] if system is not ours else []
     return Measured(system, numbers, notes, paired, path)
 
 
 def path_errors(paired: evo.Paired) -> PathErrors:
     """Errors of paired poses: ATE as it is, in the plane after a rigid fit, in space after one; RPE."""
-    estimate, reference = paired.estimate.planar(), paired.reference.planar()
-    T = fit_rigid(estimate.poses.xy, reference.poses.xy)
-    in_plane = np.linalg.norm((T @ estimate.poses.xy) - reference.poses.xy, axis=1)
     return {
         "paired": len(paired),
         "ate_m": evo.statistics(paired.errors()),
-        "ate_aligned_m": evo.statistics(in_plane),
+        "ate_aligned_m": evo.statistics(paired.errors_in_plane()),
         "ate_aligned_3d_m": evo.statistics(paired.aligned().errors()),
-        "rpe": rpe(estimate, reference),
+        "rpe": rpe(paired.estimate.planar(), paired.reference.planar()),
         "rpe_frame": evo.rpe(paired, evo.by_frame(len(paired))),
         "rpe_metre": evo.rpe(paired, evo.by_metre(paired.estimate)),
     }
@@ -212,8 +208,7 @@ def _guesses(measured: Measured, ours: Measured, known: References) -> list[SE2]
     """Where a map may lie: as its own trajectory, in the same frame, with its origin where we began."""
     guesses = []
     if measured.paired is not None and measured is not ours:
-        estimate, reference = measured.paired.estimate.planar(), measured.paired.reference.planar()
-        guesses.append(fit_rigid(estimate.poses.xy, reference.poses.xy))
+        guesses.append(measured.paired.fit_in_plane())
     guesses.append(SE2.identity())
     track = ours.system.track
     if track is not None and measured is not ours:

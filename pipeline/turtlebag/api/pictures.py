@@ -14,7 +14,7 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.content import DRAW
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.maps import draw_path, draw_start, faint_map
-from turtlebag.reports.figures.style import BAD, GOOD, MUTED, styled, svg_text
+from turtlebag.reports.figures.style import BAD, GOOD, INK, MUTED, PAPER, RULE, styled, svg_text
 from turtlebag.reports.stages import Group, Stage
 
 WIDTH_PX = 420
@@ -25,16 +25,16 @@ MOODS = {"good": GOOD, "bad": BAD, "neutral": MUTED}
 def card(title: str, said: str, facts: Mapping[str, str], picture: str = "", mood: str = "neutral") -> str:
     """HTML that reads the same on light and dark pages: title, sentence, facts by name, picture."""
     rows = "".join(
-        f'<tr style="background:none"><td style="text-align:left;color:#5f6873;padding:1px 12px 1px 0;'
+        f'<tr style="background:none"><td style="text-align:left;color:{MUTED};padding:1px 12px 1px 0;'
         f'vertical-align:top">{html.escape(name)}</td><td style="text-align:left;padding:1px 0">'
         f"{html.escape(text)}</td></tr>"
         for name, text in facts.items()
     )
     sentence = f'<div style="margin-top:4px">{html.escape(said)}</div>' if said else ""
-    table = f'<table style="border:none;margin:6px 0 0;font-size:13px;color:#1c2024">{rows}</table>'
+    table = f'<table style="border:none;margin:6px 0 0;font-size:13px;color:{INK}">{rows}</table>'
     return (
-        f'<div style="display:inline-block;max-width:{WIDTH_PX + 30}px;background:#fefefe;color:#1c2024;'
-        f"border:1px solid #d5dae0;border-left:4px solid {MOODS[mood]};border-radius:4px;padding:8px 12px;"
+        f'<div style="display:inline-block;max-width:{WIDTH_PX + 30}px;background:{PAPER};color:{INK};'
+        f"border:1px solid {RULE};border-left:4px solid {MOODS[mood]};border-radius:4px;padding:8px 12px;"
         f'font:14px system-ui,sans-serif"><b>{html.escape(title)}</b>{sentence}{table if rows else ""}'
         f"{picture}</div>"
     )

@@ -13,7 +13,7 @@ from turtlebag.api.tables import Table, Trajectory
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import Array
-from turtlebag.reports.content import stage_metrics, verdict
+from turtlebag.reports.content import overall_mood, stage_metrics, verdict
 from turtlebag.reports.numbers import leaves
 from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest, read_path
 from turtlebag.reports.system_comparison import SystemComparison, SystemsMetrics
@@ -179,8 +179,7 @@ class Report(_Page):
 
     @cached_property
     def _mood_and_verdict(self) -> tuple[str, str]:
-        moods = [mood for mood, _ in self._verdicts.values()]
-        mood = next((mood for mood in ("bad", "good") if mood in moods), "neutral")
+        mood = overall_mood(mood for mood, _ in self._verdicts.values())
         return mood, f"{len(self._places)} outputs"
 
     @cached_property
