@@ -43,15 +43,12 @@ def _known(unit: str) -> str:
     return unit
 
 
-Unit = Annotated[str, AfterValidator(_known)]
-
-
 class Result(Settings):
     """A number to keep: `at` is `stage:path` in that stage's metrics.json; how it is called and shown."""
 
     at: str
     label: str = ""
-    unit: Unit = "plain"
+    unit: Annotated[str, AfterValidator(_known)] = "plain"
 
     @model_validator(mode="before")
     @classmethod
@@ -62,8 +59,7 @@ class Result(Settings):
 class Figure(Settings):
     """One figure: result `y` over factor `x`, intervals by bootstrap.
 
-    One line for each level of `lines`, in one panel for each level of `panels`; `unit`: other than the
-    result's own.
+    One line for each level of `lines`, in one panel for each level of `panels`.
     """
 
     x: str
@@ -71,7 +67,6 @@ class Figure(Settings):
     lines: str | None = None
     panels: str | None = None
     title: str = ""
-    unit: Unit | None = None
     log: bool = False
 
 

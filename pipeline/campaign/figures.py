@@ -36,7 +36,7 @@ def draw_figures(campaign: Campaign, rows: Sequence[Row], album: Album) -> None:
         caption = f"{label} over {words(wish.x)}{each}."
         caption = caption[0].upper() + caption[1:]
         name = f"{number:02d}-{slug(wish.y)}-over-{slug(wish.x)}"
-        drawn = (rows, wish, label, wish.unit or unit, campaign.seed)
+        drawn = (rows, wish, label, unit, campaign.seed)
         album.add(name, wish.title or label, caption, result_over_factor, *drawn)
 
 

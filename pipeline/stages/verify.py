@@ -14,7 +14,9 @@ import numpy as np
 from scipy import ndimage
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.outputs import sha256_file
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.stages.recompute import (
     TRUTH_AGREES_M,
     Check,
@@ -211,31 +213,26 @@ def _unknown(name: str, metrics: Mapping[str, object], done: list[Check]) -> lis
     ]
 
 
-def clearance_on_map(stage: Stage) -> float | None:
-    """Least distance [m] from the footprint's outline to an occupied cell of the true map, along the
-    bag's true path; None where the robot or the map is not known.
+def clearance_on_map(footprint: Array, grid: OccupancyGrid, T_world_base: SE2) -> float:
+    """Least distance [m] from the footprint's outline to an occupied cell of the true map, along true poses.
 
     The map holds what crosses the lidar plane only: the clearance that counts low things is at most this.
     """
-    robot, grid = robot_of(stage), stage.true_map
-    if robot is None or grid is None:
-        return None
-    footprint = robot.model.footprint
     corners = np.concatenate([footprint, footprint[:1]])
     share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
     outline = (corners[:-1] + share * (corners[1:] - corners[:-1])).reshape(-1, 2)
-    poses = stage.driven.poses[::3]
-    cells = grid.cell_of(poses[:, None] @ outline)
+    cells = grid.cell_of(T_world_base[:, None] @ outline)
     cells = np.clip(cells, 0, np.array(grid.shape) - 1)
     room = ndimage.distance_transform_edt(~occupied(grid)) * grid.resolution
     return float(room[cells[..., 0], cells[..., 1]].min())
 
 
 def _check_clearance(stage: Stage, name: str, found: Verification) -> None:
-    reported, grid = stage.metrics.get("min_clearance_m"), stage.true_map
-    room = clearance_on_map(stage)
-    if room is None or grid is None or not isinstance(reported, (int, float)):
+    """The reported clearance against that on the true map, where robot and map are known."""
+    reported, robot, grid = stage.metrics.get("min_clearance_m"), robot_of(stage), stage.true_map
+    if robot is None or grid is None or not isinstance(reported, (int, float)):
         return
+    room = clearance_on_map(robot.model.footprint, grid, stage.driven.poses[::3])
     if reported > room + 2.0 * grid.resolution:
         found.problems.append(
             f"{name}:min_clearance_m: reported {reported:.3f}, but the true map leaves only {room:.3f} m"
