@@ -27,7 +27,6 @@ from typing import Any, get_args
 
 from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.reports.metrics.statistics import share_interval
-from turtlebag.sim.simulator import Sensors
 
 Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]
@@ -44,6 +43,8 @@ def options(
     if quick:
         parser.add_argument("--quick", action="store_true", help=quick)
     if sensors:
+        from turtlebag.sim.simulator import Sensors  # each process of a campaign would load Bullet, too
+
         parser.add_argument("--sensors", choices=get_args(Sensors), default="realistic")
     parser.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help=f"default: {out}")
     for name, default in numbers.items():
