@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import html
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from turtlebag.pipeline.stages.recompute import (
     truth_disagreement,
 )
 from turtlebag.pipeline.stages.rivals import MARK, inputs_of, measured_in, recalled
-from turtlebag.pipeline.stages.run_again import Remade, Run, places_of, remade
+from turtlebag.pipeline.stages.run_again import Run, places_of, remade
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
@@ -96,10 +96,6 @@ def verify(report: Path, run: Run | None = None) -> Verification:
     manifest = read_manifest(report / "manifest.json")
     _check_report_files(report, manifest, groups, found)
     places = places_of(groups)
-
-    def again(stage: Stage) -> Remade | None:
-        return None if run is None else remade(stage, places, run)
-
     for group in groups:
         for stage in group.stages:
             chapter = reported.get(group.name)
@@ -107,7 +103,7 @@ def verify(report: Path, run: Run | None = None) -> Verification:
             if not isinstance(metrics, dict):
                 found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
                 continue
-            _check_stage(stage, group, metrics, places, again, found)
+            _check_stage(stage, group, metrics, places, run, found)
     rivals = _check_rivals(report, manifest, groups, reported, found) if manifest.rivals else None
     _check_texts(_file(report, "index.html"), groups, rivals, found)
     return found
@@ -135,7 +131,7 @@ def _check_stage(
     group: Group,
     metrics: Mapping[str, Any],
     places: dict[str, str],
-    again: Callable[[Stage], Remade | None],
+    run: Run | None,
     found: Verification,
 ) -> None:
     name = f"{group.name}/{stage.label}"
@@ -160,7 +156,7 @@ def _check_stage(
         found.problems.append(f"{name}: {error}")
         return
     left = _unknown(name, metrics, done)
-    if left and (anew := again(stage)) is not None:
+    if left and run is not None and (anew := remade(stage, places, run)) is not None:
         if anew.other_bytes:
             found.notes.append(f"{name}: run again, different bytes in {', '.join(anew.other_bytes)}")
         done += [check for check in checks(name, metrics, anew.metrics) if check.key in left]
