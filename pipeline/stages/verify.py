@@ -59,9 +59,8 @@ class Verification:
     notes: list[str] = field(default_factory=list)
 
 
-def stage_folders(report: Path) -> list[Path]:
+def stage_folders(report: Path, manifest: Manifest) -> list[Path]:
     """Where the report's stages are: where the manifest says, or beside a report that was moved with them."""
-    manifest = read_manifest(_file(report, "manifest.json"))
     if manifest.stage != "report":
         raise InputError(f"{report}: is a {manifest.stage} output, not a report")
     folders = []
@@ -91,9 +90,9 @@ def verify(report: Path, run: Run | None = None) -> Verification:
     With `run`, stages whose numbers their files alone do not hold are run again from what they read.
     """
     found = Verification()
-    groups = group_stages([load_stage(folder) for folder in stage_folders(report)])
+    manifest = read_manifest(_file(report, "manifest.json"))
+    groups = group_stages([load_stage(folder) for folder in stage_folders(report, manifest)])
     reported = read_json(_file(report, "metrics.json"))
-    manifest = read_manifest(report / "manifest.json")
     _check_report_files(report, manifest, groups, found)
     places = places_of(groups)
     for group in groups:
