@@ -15,7 +15,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.content import stage_metrics, verdict
-from turtlebag.reports.figures import systems
+from turtlebag.reports.figures import series, systems
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metric_spec import LESS_IS_BETTER, MORE_IS_BETTER
 from turtlebag.reports.metric_specs import SPECS
@@ -150,7 +150,10 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
         album.add("paths", "Paths", caption, systems.paths, ground, None, {"A": path_a, "B": path_b})
     errors_a, errors_b = _errors(a), _errors(b)
     if errors_a is not None and errors_b is not None:
-        caption = "Distance of the estimate from the truth, each run in its own time; lower is better."
+        caption = (
+            "Distance of the estimate from the truth, each run in its own time; lower is better. "
+            f"{series.AXIS_TOLD}"
+        )
         both_errors = {"A": errors_a, "B": errors_b}
         label = "position error [cm]"
         album.add("errors", "Position error", caption, systems.errors, both_errors, "AB", label)
@@ -165,7 +168,7 @@ def same_input(a: Stage, b: Stage) -> bool:
 
 def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
     pairs = associate(path_b, path_a)
-    caption = "Distance between the estimates of A and B at the same instant."
+    caption = f"Distance between the estimates of A and B at the same instant. {series.AXIS_TOLD}"
     apart = {"A to B": (pairs.stamps_ns, pairs.position_errors())}
     album.add("apart", "Difference", caption, systems.errors, apart, [*apart], "A to B [cm]")
 

@@ -12,7 +12,7 @@ from turtlebag.reports.drawing import draw_localise, draw_map, draw_plan, draw_r
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.interactive_map import InteractiveMap, interactive_map
 from turtlebag.reports.metric_spec import Section
-from turtlebag.reports.metric_specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
+from turtlebag.reports.metric_specs import GOAL_NUMBERS, GOAL_SOURCES, PICTURE_SOURCES
 from turtlebag.reports.metrics.navigation import goal_counts, outcome, truly_reached
 from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.numbers import (
@@ -306,7 +306,8 @@ def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
                 "truth": {"reached": "there", "elsewhere": "elsewhere"}.get(outcome(goal), DASH),
                 "reason": goal.get("reason") or "",
                 "numbers": [
-                    (key, goal.get(key), shown(goal.get(key), unit)) for key, unit in GOAL_UNITS.items()
+                    (spec, goal.get(spec.path), shown(goal.get(spec.path), spec.unit))
+                    for spec in GOAL_NUMBERS
                 ],
             }
         )

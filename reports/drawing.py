@@ -127,8 +127,7 @@ def _add_errors(album: Album, slam: Trajectory, odometry: Trajectory | None, tru
 
     caption = (
         "Top: the errors of SLAM and of the odometry. Bottom: the robot's speeds. SLAM's error should "
-        "fall again after every turn; the odometry's does not. An axis that goes beyond 3 is "
-        "logarithmic above 1."
+        f"fall again after every turn; the odometry's does not. {series.AXIS_TOLD}"
     )
     album.add("time", "Error over time", caption, draw)
 
@@ -152,17 +151,17 @@ def draw_run(stage: Stage, group: Group, album: Album) -> None:
     goals = stage.metrics.get("goals") or []
     contact = log.contact_visible | log.contact_low
     episodes = collision_episodes(log.t_ns, contact)
-    first = contact & ~np.concatenate([[False], contact[:-1]])
+    touched_at = np.searchsorted(log.t_ns, [first for first, _ in episodes])
     estimate = stage.trajectory if stage.localised else None
     decisions = decisions_of(log) if not goals and stage.fact("task") == "avoid" else None
     caption = _run_caption(estimate is not None, bool(goals), decisions)
-    drawn = (world, truth, estimate, goals, log.T_world_base.xy[first], decisions)
+    drawn = (world, truth, estimate, goals, log.T_world_base.xy[touched_at], decisions)
     album.add("path", "The run", caption, runs.run, *drawn)
     ends = goal_ends(log)
     if estimate is not None:
         caption = (
             "Distance between the estimated and the true position. It should stay low. Dotted lines "
-            "mark the end of a goal, orange bands contact."
+            f"mark the end of a goal, orange bands contact. {series.AXIS_TOLD}"
         )
         errors = (associate(estimate, truth), int(log.t_ns[0]), episodes, ends)
         album.add("localisation", "Localisation error", caption, series.localisation, *errors)
@@ -276,7 +275,10 @@ def draw_localise(stage: Stage, group: Group, album: Album) -> None:
     album.add("path", "Localised path", caption, maps.trajectories, grid, paths)
     if truth is not None:
         pairs, start = associate(estimate, truth), int(truth.stamps_ns[0])
-        caption = "Distance between the estimated and the true position at each scan. It should stay low."
+        caption = (
+            "Distance between the estimated and the true position at each scan. It should stay low. "
+            f"{series.AXIS_TOLD}"
+        )
         album.add("error", "Localisation error", caption, series.localisation, pairs, start, [], [])
 
 

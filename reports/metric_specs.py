@@ -145,13 +145,17 @@ SPECS: dict[str, tuple[MetricSpec, ...]] = {
     kind: tuple(spec for section in sections for spec in section.specs) for kind, sections in SECTIONS.items()
 }
 GOAL_SOURCES = (*LOG, *BAG)
-GOAL_MEANINGS = {
-    "time_s": "Simulated time from the start of the goal to its end.",
-    "error_m": "Distance from the robot's true position to the goal when the goal checker accepted it.",
-    "error_rad": "The same for the heading.",
-}
-PLANNER_UNITS = {"length_m": "m", "min_clearance_m": "cm", "poses": "count"}
-GOAL_UNITS = {"time_s": "s", "error_m": "cm", "error_rad": "deg"}
+GOAL_NUMBERS = (
+    MetricSpec("time_s", "time", "s", "Simulated time from the start of the goal to its end."),
+    MetricSpec(
+        "error_m",
+        "true error",
+        "cm",
+        "Distance from the robot's true position to the goal when the goal checker accepted it.",
+    ),
+    MetricSpec("error_rad", "heading error", "deg", "The same for the heading."),
+)
+"""Of each goal of a run."""
 
 # Inputs of the stage that a number is measured against.
 REFERENCES = {

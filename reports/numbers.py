@@ -62,15 +62,11 @@ class Number:
 
     @property
     def files(self) -> list[tuple[str, str]]:
-        """What it is computed from, with sha256, by name."""
-        return sorted(self.evidence().items())
-
-    def evidence(self) -> dict[str, str]:
-        """sha256 of each file the number is computed from."""
+        """Files that it is computed from, with their sha256."""
         found = files_of(self.stage, self.spec.sources)
         for name in REFERENCES.get(self.spec.path.partition(".")[0], ()):
             found |= {f"{name}: {path}": digest for path, digest in self.stage.hashes(name).items()}
-        return found
+        return sorted(found.items())
 
 
 def files_of(stage: Stage, sources: Sequence[str]) -> dict[str, str]:

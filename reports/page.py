@@ -23,7 +23,7 @@ from turtlebag.reports.content import (
 )
 from turtlebag.reports.figures import style
 from turtlebag.reports.glossary import WORDS, explained
-from turtlebag.reports.metric_specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
+from turtlebag.reports.metric_specs import GOAL_NUMBERS, SPECS
 from turtlebag.reports.metrics.navigation import goal_counts
 from turtlebag.reports.numbers import lookup, shown
 from turtlebag.reports.provenance import packages, recipe
@@ -66,8 +66,8 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         steps=recipe(groups),
         packages=packages(groups),
         words=WORDS,
-        goal_meanings=GOAL_MEANINGS,
-        planner_units=PLANNER_UNITS,
+        goal_numbers=GOAL_NUMBERS,
+        planner_numbers=SPECS["plan"],
         shown=shown,
         good_walls=GOOD_WALLS,
     )

@@ -11,6 +11,7 @@ from turtlebag.datasets.rivals import OURS
 from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.figures.series import AXIS_TOLD
 from turtlebag.reports.metric_spec import MORE_IS_BETTER, MetricSpec
 from turtlebag.reports.metric_specs_systems import EVO, NOT_JUDGED, SYSTEMS
 from turtlebag.reports.metrics.references import References
@@ -159,7 +160,7 @@ def _draw(measured: Sequence[Measured], known: References, album: Album) -> None
     if len(paths) > 1 and errors:
         caption = (
             f"Distance to {reference} after the fit in the plane; a gap is where a system has no poses. "
-            "An axis that goes beyond 3 is logarithmic above 1."
+            f"{AXIS_TOLD}"
         )
         title = "Distance over time" if known.truth is None else "Error over time"
         album.add("time", title, caption, figures.errors, errors, list(paths), f"to {reference} [cm]")

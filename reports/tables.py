@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.reports.content import Chapter, Part
-from turtlebag.reports.metric_specs import GOAL_MEANINGS, GOAL_UNITS
+from turtlebag.reports.metric_specs import GOAL_NUMBERS
 from turtlebag.reports.numbers import UNITS
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.system_comparison import SystemComparison
@@ -46,7 +46,7 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
             if rows:
                 (folder / f"{name}.tex").write_text(latex_table(("number", "value"), rows, "lr"))
             if part.goals:
-                head = ("\\#", "goal", "robot's word", "truth", "time", "true error", "turn error")
+                head = ("\\#", "goal", "reported", "truth", *(spec.label for spec in GOAL_NUMBERS))
                 goals = [
                     (
                         str(goal["number"]),
@@ -91,9 +91,9 @@ def _rows(part: Part) -> Iterator[list[Any]]:
         yield [spec.path, number.value, UNITS[spec.unit].stored, number.text, spec.meaning]
     for goal in part.goals:
         place = goal["number"] - 1
-        for key, value, text in goal["numbers"]:
-            meaning = f"{GOAL_MEANINGS[key]} Goal {goal['number']}, {goal['status']}."
-            yield [f"goals.{place}.{key}", value, UNITS[GOAL_UNITS[key]].stored, text, meaning]
+        for spec, value, text in goal["numbers"]:
+            meaning = f"{spec.meaning} Goal {goal['number']}, {goal['status']}."
+            yield [f"goals.{place}.{spec.path}", value, UNITS[spec.unit].stored, text, meaning]
 
 
 def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str) -> str:

@@ -16,7 +16,7 @@ from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.campaign_file import Figure as Wish
 from turtlebag.pipeline.campaign.statistics import Row, interval, is_share, levels_of
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.figures.style import SERIES, new_figure
+from turtlebag.reports.figures.style import new_figure, series_colour
 from turtlebag.reports.metrics.statistics import Interval
 from turtlebag.reports.numbers import UNITS
 from turtlebag.reports.stage_titles import slug
@@ -105,7 +105,7 @@ def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float, seed
                 at = np.full(len(values), place)
                 # Beside the interval, whose bar and mark would hide them.
                 aside = offset_copy(axes.transData, cast(Figure, axes.figure), x=-6.0, units="points")
-                colour = SERIES[number % len(SERIES)]
+                colour = series_colour(number)
                 axes.plot(at, values, ".", color=colour, markersize=4, alpha=0.5, transform=aside, zorder=4)
         _draw_line(axes, found, factor, number, label, "-" if numeric else "none")
     if not numeric:
@@ -140,7 +140,7 @@ def _draw_line(
         yerr=whiskers,
         fmt=MARKERS[number % len(MARKERS)],
         linestyle=style,
-        color=SERIES[number % len(SERIES)],
+        color=series_colour(number),
         capsize=3,
         label=label,
         zorder=3,

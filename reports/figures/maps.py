@@ -28,6 +28,7 @@ from turtlebag.reports.figures.style import (
     WIDTH_IN,
     bare,
     new_figure,
+    series_colour,
 )
 from turtlebag.reports.metrics.map import map_error, occupied
 
@@ -152,7 +153,7 @@ def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     tracks = {name: Trajectory.untimed(poses) for name, poses in paths.items()}
     figure, axes = faint_map(grid, list(tracks.values()))
     for number, (name, track) in enumerate(tracks.items()):
-        colour = SERIES[number % len(SERIES)]
+        colour = series_colour(number)
         dashes = ("-", (0, (5, 2)), (0, (1, 1.5)))[number // len(SERIES) % 3]
         axes.plot(track.poses.x, track.poses.y, color=colour, linestyle=dashes, linewidth=1.5, label=name)
     first = next(iter(tracks.values())).poses

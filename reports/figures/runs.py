@@ -142,7 +142,7 @@ def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m:
     add_scale(axes, points, "clearance [cm]", extend="max")
     if np.isfinite(finite).any():
         nearest = int(np.nanargmin(finite))
-        axes.plot(truth.poses.x[nearest], truth.poses.y[nearest], "v", color=BAD, markersize=8, zorder=5)
+        axes.plot(truth.poses.x[nearest], truth.poses.y[nearest], "v", color=INK, markersize=8, zorder=5)
         note = AnchoredText(
             f"▼ least: {100.0 * finite[nearest]:.1f} cm", "lower left", frameon=False, pad=0.2
         )

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, ScalarFormatter
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.figures.maps import legend_above
@@ -18,11 +19,8 @@ from turtlebag.reports.metrics.trajectory import PosePairs
 Span = tuple[int, int]
 LINEAR_TO = 3.0
 """Errors [cm, degrees] up to this have a linear axis."""
-
-
-def time_axis(stamps_ns: Stamps, start_ns: int) -> Array:
-    """Seconds since `start_ns`."""
-    return (stamps_ns - start_ns).astype(np.float64) * 1e-9
+AXIS_TOLD = f"An axis that goes beyond {LINEAR_TO:g} is logarithmic above 1."
+"""What every caption of such an axis says."""
 
 
 def stacked(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
@@ -49,7 +47,7 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
         if pairs is None:
             continue
         order = np.argsort(pairs.stamps_ns, kind="stable")
-        t = time_axis(pairs.stamps_ns[order], start)
+        t = seconds(pairs.stamps_ns[order] - start)
         axes[0].plot(t, 100.0 * pairs.position_errors()[order], **LINES[kind])
         axes[1].plot(t, np.degrees(pairs.yaw_errors()[order]), **LINES[kind])
     for axis in axes[:2]:
@@ -85,7 +83,7 @@ def localisation(
 ) -> Figure:
     """Position and yaw error of the estimate, with contact episodes shaded and goals ticked."""
     figure, axes = stacked(2, 3.4)
-    t = time_axis(pairs.stamps_ns, start_ns)
+    t = seconds(pairs.stamps_ns - start_ns)
     axes[0].plot(t, 100.0 * pairs.position_errors(), color=AMCL, linewidth=1.2)
     axes[0].set_ylabel("position\nerror [cm]")
     axes[1].plot(t, np.degrees(pairs.yaw_errors()), color=AMCL, linewidth=1.2)
@@ -101,7 +99,7 @@ def mark_events(axis: Axes, start_ns: int, contacts: Sequence[Span], goals_s: Se
     """Contact episodes as bands, ends of goals as thin lines."""
     for first, last in contacts:
         axis.axvspan(
-            (first - start_ns) * 1e-9, (last - start_ns) * 1e-9 + 0.2, color=BAD, alpha=0.35, linewidth=0
+            seconds(first - start_ns), seconds(last - start_ns) + 0.2, color=BAD, alpha=0.35, linewidth=0
         )
     for moment in goals_s:
         axis.axvline(moment, color=INK, linewidth=0.6, linestyle=(0, (1, 3)))
@@ -113,7 +111,7 @@ def clearance(
     """Footprint clearance and the commands (n, 2) [m/s, rad/s] over time."""
     figure, axes = stacked(3, 4.4)
     start = int(stamps_ns[0])
-    t = time_axis(stamps_ns, start)
+    t = seconds(stamps_ns - start)
     axes[0].plot(t, 100.0 * np.where(np.isfinite(clearance_m), clearance_m, np.nan), color=INK, linewidth=1.1)
     axes[0].set_ylabel("clearance\n[cm]")
     axes[0].set_ylim(bottom=0.0)

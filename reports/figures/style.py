@@ -24,7 +24,7 @@ INK, MUTED, RULE, PAPER, GROUND = "#1c2024", "#5f6873", "#d5dae0", "#fefefe", "#
 TRUTH, ODOMETRY, SLAM, AMCL = "#9ccbee", "#b455a0", "#0072b2", "#009e73"
 GOOD, BAD = "#009e73", "#d55e00"
 # Series of no meaning of their own. None is BAD: orange is what went wrong, in every figure.
-SERIES = (SLAM, GOOD, ODOMETRY, "#56b4e9", INK, "#8a7f1f")
+SERIES = (SLAM, ODOMETRY, GOOD, "#8a7f1f", "#56b4e9", INK)
 
 # The truth is wide and pale beneath the thin lines of estimates: both are seen where they agree.
 LINES: dict[str, dict[str, Any]] = {
@@ -72,6 +72,11 @@ WIDTH_IN = 5.4
 
 # From fine to bad. Both ends keep their hue and their contrast when a dark page inverts lightness.
 FINE_TO_BAD = LinearSegmentedColormap.from_list("fine_to_bad", ["#0072b2", "#7f86a8", "#b98a6a", "#d55e00"])
+
+
+def series_colour(number: int) -> str:
+    """The colour of a series by its number from 0 on."""
+    return SERIES[number % len(SERIES)]
 
 
 @contextmanager

@@ -22,10 +22,8 @@ from turtlebag.reports.figures.maps import (
     view_box,
 )
 from turtlebag.reports.figures.series import error_axis, stacked
-from turtlebag.reports.figures.style import INK, MUTED, ODOMETRY, SLAM
+from turtlebag.reports.figures.style import MUTED, series_colour
 from turtlebag.reports.metrics.map import occupied, walls_in
-
-COLOURS = (SLAM, ODOMETRY, "#009e73", "#8a7f1f", "#56b4e9", INK)
 
 
 def paths(
@@ -37,7 +35,7 @@ def paths(
     for number, (name, path) in enumerate(systems.items()):
         xy = _broken(path.stamps_ns, path.poses.xy)
         width = 2.0 if number == 0 and truth is None else 1.2
-        axes.plot(xy[:, 0], xy[:, 1], color=_colour(number), linewidth=width, label=name, zorder=2)
+        axes.plot(xy[:, 0], xy[:, 1], color=series_colour(number), linewidth=width, label=name, zorder=2)
     legend_above(axes)
     return figure
 
@@ -48,7 +46,7 @@ def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], la
     start = min(int(stamps[0]) for stamps, _ in systems.values())
     for name, (stamps, distance) in systems.items():
         line = _broken(stamps, np.stack([(stamps - start) * 1e-9, 100.0 * distance], axis=1))
-        axes.plot(line[:, 0], line[:, 1], color=_colour(names.index(name)), linewidth=1.2, label=name)
+        axes.plot(line[:, 0], line[:, 1], color=series_colour(names.index(name)), linewidth=1.2, label=name)
     axes.set_ylabel(label)
     error_axis(axes)
     legend_above(axes)
@@ -60,13 +58,14 @@ def walls(a: OccupancyGrid, b: OccupancyGrid, names: tuple[str, str], number: in
     of the second by its number."""
     x0, x1, y0, y1 = zip(view_box(a), view_box(b), strict=True)
     figure, axes = map_figure((min(x0), max(x1), min(y0), max(y1)))
-    for grid, other, colour in ((b, a, _colour(number)), (a, b, _colour(0))):
+    of_a, of_b = series_colour(0), series_colour(number)
+    for grid, other, colour in ((b, a, of_b), (a, b, of_a)):
         image = np.zeros((*grid.shape, 4))
         cells, shared = np.argwhere(occupied(grid)), walls_in(grid, other)
         for chosen, shade in ((cells[shared], MUTED), (cells[~shared], colour)):
             image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
         show_image(axes, image, grid)
-    words = ("both", MUTED), (f"only {names[0]}", _colour(0)), (f"only {names[1]}", _colour(number))
+    words = ("both", MUTED), (f"only {names[0]}", of_a), (f"only {names[1]}", of_b)
     legend_above(axes, [Patch(color=colour, label=word) for word, colour in words])
     return figure
 
@@ -77,7 +76,3 @@ def _broken(stamps_ns: Stamps, values: Array) -> Array:
     stamps, values = stamps_ns[order], values[order].astype(np.float64)
     ends = [int(np.searchsorted(stamps, end)) for _, end in gaps(stamps)]
     return np.insert(values, ends, np.nan, axis=0)
-
-
-def _colour(number: int) -> str:
-    return COLOURS[number % len(COLOURS)]

@@ -77,7 +77,7 @@ def walls(grid: OccupancyGrid) -> Array:
 
 def walls_in(grid: OccupancyGrid, other: OccupancyGrid) -> NDArray[np.bool_]:
     """Which occupied cells of a grid, (n,) in their order, have one of another within a cell."""
-    return nearest_m(walls(grid), walls(other)) < 1.5 * max(grid.resolution, other.resolution)
+    return nearest_m(walls(grid), walls(other)) <= _one_cell(max(grid.resolution, other.resolution))
 
 
 class WallErrors(TypedDict):
@@ -111,7 +111,7 @@ def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapMetrics:
     mapped = _unique_cells(true_grid.cell_of(error.xy_mapped))
     true = _unique_cells(true_grid.cell_of(error.xy_true))
     both = len(mapped & true)
-    reach = _one_cell(true_grid)
+    reach = _one_cell(true_grid.resolution)
     precision, recall = np.mean(error.error_m <= reach), np.mean(error.missed_m <= reach)
     return {
         "iou": both / (len(mapped) + len(true) - both),
@@ -125,9 +125,9 @@ def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapMetrics:
     }
 
 
-def _one_cell(grid: OccupancyGrid) -> float:
+def _one_cell(side: float) -> float:
     """Distance between diagonal neighbours, with room for rounding [m]."""
-    return grid.resolution * float(np.sqrt(2.0)) + 1e-6
+    return side * float(np.sqrt(2.0)) + 1e-6
 
 
 def _union_share(precision: float, recall: float) -> float:

@@ -281,7 +281,7 @@ def test_an_error_names_the_truth_it_was_measured_against():
     stage = Stage(Path("x"), "map", "map", Manifest.model_validate(manifest))
     ((_, [number]),) = sections_of(stage, {"ate_m": {"rmse": 0.01}}, "room")
     assert number.key == "room/map:ate_m.rmse"
-    assert number.evidence() == {"trajectory.tum": "aa", "truth: trajectory.tum": "cc"}
+    assert dict(number.files) == {"trajectory.tum": "aa", "truth: trajectory.tum": "cc"}
 
 
 def test_words_are_linked_once_to_their_meaning_and_the_text_stays_escaped():

@@ -5,7 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from tests.helpers.report_fakes import fake_localise, fake_map, fake_maps, fake_plan, fake_record, mapped_room
+from tests.helpers.report_fakes import (
+    fake_localise,
+    fake_map,
+    fake_maps,
+    fake_plan,
+    fake_record,
+    mapped_room,
+    undrawn,
+)
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
@@ -131,3 +139,16 @@ def test_plans_and_estimates_are_drawn_over_each_other_too(tmp_path):
         one, other = (maker(tmp_path / f"{name}-{k}", *inputs) for k in "ab")
         compare_outputs(one, other, Output(tmp_path / f"compare-{name}"))
         assert (tmp_path / f"compare-{name}" / "figures" / "paths.png").is_file()
+
+
+def test_a_number_that_one_side_lacks_is_sorted_as_one_that_is_not_there(tmp_path):
+    record = fake_record(tmp_path / "record")
+    a, b = fake_map(tmp_path / "a", record), fake_map(tmp_path / "b", record)
+    numbers = json.loads((b / "metrics.json").read_text())
+    del numbers["ate_m"]
+    (b / "metrics.json").write_text(json.dumps(numbers))
+    with undrawn():
+        compare_outputs(a, b, Output(tmp_path / "out"))
+    page = (tmp_path / "out/index.html").read_text()
+    assert 'data-sort=""' in page
+    assert 'data-sort="None"' not in page

@@ -4,19 +4,22 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 
-from tests.helpers.report_fakes import true_room
+from tests.helpers.report_fakes import fake_localise, fake_map, fake_record, fake_run, true_room
 from turtlebag.datasets.runlog import Row, RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.campaign.campaign_file import Figure
 from turtlebag.pipeline.campaign.figures import result_over_factor
-from turtlebag.reports.drawing import decisions_of
+from turtlebag.reports.compare import draw_comparison
+from turtlebag.reports.drawing import decisions_of, draw_localise, draw_map, draw_run
 from turtlebag.reports.figures import animation, runs
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.maps import length_text, scale_length
 from turtlebag.reports.figures.particles import particles, zoom_box
 from turtlebag.reports.figures.series import error_axis
 from turtlebag.reports.figures.style import BAD, LINES, SERIES, new_figure
+from turtlebag.reports.stages import Group, load_stage
 
 WHOLE = (-3.0, 3.0, -2.5, 2.5)
 
@@ -155,3 +158,52 @@ def test_the_picture_of_an_avoidance_marks_its_start_and_every_decision():
     # The start's word and its arrow, and an arrow for each decision.
     assert [text.get_text() for text in axes.texts].count("start") == 1
     assert len(axes.texts) == 2 + 3
+
+
+class Kept(Album):
+    """Captions and what is to be drawn, by the names of the pictures; nothing is drawn."""
+
+    def __init__(self):
+        super().__init__(None, animate=False)
+        self.kept = {}
+
+    def add(self, name, title, caption, draw, *drawn):
+        self.kept[name] = caption, drawn
+
+
+def pictures_of(draw, folder, *others):
+    album, stage = Kept(), load_stage(folder)
+    draw(stage, Group("room", (stage, *(load_stage(other) for other in others))), album)
+    return album.kept
+
+
+def test_a_collision_is_one_mark_however_often_its_contact_flickers(tmp_path):
+    record = fake_record(tmp_path / "record")
+    run = fake_run(tmp_path / "run", fake_map(tmp_path / "map", record), missed=True)
+    log = RunLog.load(run / "runlog.csv")
+    log.contact_visible[[403, 407]] = False
+    log.save(run / "runlog.csv")
+    contacts_xy = pictures_of(draw_run, run)["path"][1][4]
+    np.testing.assert_allclose(contacts_xy, log.T_world_base.xy[[400]])
+
+
+def test_the_caption_of_every_axis_of_errors_says_where_it_is_logarithmic(tmp_path):
+    record = fake_record(tmp_path / "record")
+    built = fake_map(tmp_path / "map", record)
+    run, found = fake_run(tmp_path / "run", built), fake_localise(tmp_path / "localise", record, built)
+    captions = [
+        pictures_of(draw_map, built, record)["time"][0],
+        pictures_of(draw_run, run)["localisation"][0],
+        pictures_of(draw_localise, found, record)["error"][0],
+    ]
+    runs_compared, maps_compared = Kept(), Kept()
+    draw_comparison(load_stage(run), load_stage(run), runs_compared)
+    draw_comparison(load_stage(built), load_stage(built), maps_compared)
+    captions += [runs_compared.kept["errors"][0], maps_compared.kept["apart"][0]]
+    assert [caption for caption in captions if "beyond 3 is logarithmic above 1." not in caption] == []
+
+
+def test_the_nearest_place_of_a_roomy_path_does_not_look_bad():
+    path = Trajectory.untimed(SE2.from_xyt(np.linspace(0.0, 1.0, 5), np.zeros(5), np.zeros(5)))
+    axes = runs.clearance_on_map(None, path, np.array([0.9, 0.8, 0.7, 0.8, 0.9])).axes[0]
+    assert BAD not in {line.get_color() for line in axes.get_lines()}
