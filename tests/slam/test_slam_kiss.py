@@ -1,13 +1,14 @@
 """KISS-ICP as it is asked: how far it looks for partners, and what it answers where there is nothing."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.se3 import lifted
-from turtlebag.pipeline.slam.kiss import VOXEL_M, LidarOdometry
+from turtlebag.pipeline.slam.kiss import VOXEL_M, KissIcp, LidarOdometry
 
 POSTS = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 2))
 
@@ -46,3 +47,17 @@ def test_with_no_map_or_no_points_the_guess_is_the_answer():
     assert np.array_equal(found.register(POSTS, guess), guess)
     found.update(POSTS, guess, guess)
     assert np.array_equal(found.register(POSTS[:2], guess), guess)
+
+
+def test_where_the_answer_does_not_fit_the_pose_by_the_odometry_stands():
+    tracker = SimpleNamespace(
+        scan=1, pose=np.array([1.0, 2.0, 0.3]), velocity=np.array([0.5, 0.0, 0.1]), max_range=8.0,
+        fit=lambda points, pose: 0.1, last_keys=lambda count: ([0], [np.zeros(3)]),
+        clouds=SimpleNamespace(of=lambda key: POSTS),
+    )  # fmt: skip
+    driven = np.array([0.2, 0.0, -0.1])
+    placed = KissIcp(tracker).step(POSTS, driven, 0.2)
+    np.testing.assert_allclose(placed.T_track_base, compose(tracker.pose, driven))
+    assert not placed.information.any()
+    by_speed = KissIcp(tracker).step(POSTS, None, 0.2)
+    np.testing.assert_allclose(by_speed.T_track_base, compose(tracker.pose, tracker.velocity))
