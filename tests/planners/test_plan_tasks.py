@@ -59,8 +59,11 @@ def test_the_ladder_takes_the_side_with_more_room_and_waits_where_there_is_none(
     ladder.climb(0, pose)
     other = ladder.climb(0, pose, lambda t, a: -t.w)
     assert (other.name, other.twist.w, ladder.used) == ("recover_rotate_back", -0.6, 5)
-    clear = Ladder(RecoveryConfig(ladder=(Rung(kind="clear"), Rung(kind="wait", amount=2.5)), total=1), list)
+    cleared: list[bool] = []
+    config = RecoveryConfig(ladder=(Rung(kind="clear"), Rung(kind="wait", amount=2.5)), total=1)
+    clear = Ladder(config, lambda: cleared.append(True))
     assert (clear.climb(S, pose).until_ns, clear.climb(S, pose)) == (S + 300_000_000, None)
+    assert cleared == [True]
 
 
 def test_a_turn_may_be_longer_than_half_a_circle():

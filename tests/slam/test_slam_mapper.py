@@ -17,7 +17,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, joined, without
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
-from turtlebag.pipeline.slam.loop_search import Loop, LoopConfig
+from turtlebag.pipeline.slam.loop_search import Loop, LoopConfig, step_lengths
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.range_noise import RangeNoise
@@ -233,6 +233,11 @@ def test_a_key_is_as_unsure_as_all_steps_from_the_first_together():
     loops, _ = growing_loops(5, sure_of_yaw)
     loops.work()
     assert loops.sigma_m == pytest.approx(2.0 * sigma_m, rel=1e-3)  # four steps
+
+
+def test_the_way_driven_is_that_of_all_steps_so_far():
+    loops, _ = growing_loops(7, np.eye(3))
+    np.testing.assert_allclose(loops.path, np.append(0.0, np.cumsum(step_lengths(TRUE[:7]))))
 
 
 @pytest.mark.parametrize("found", [False, True])
