@@ -56,13 +56,15 @@ def too_fast(
 def jumps(
     recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64], over: int = 1
 ) -> NDArray[np.int64]:
-    """Scans whose poses lie farther from those `over` scans before than the robot can drive, and than its
-    odometry says; no `borders`, the first scans of later logs, between them."""
+    """Scans and those `over` scans later (n, 2) whose poses lie farther apart than the robot can drive, and
+    than its odometry says; no `borders`, the first scans of later logs, between them."""
     scans = np.arange(over, len(recording))
-    scans = scans[np.searchsorted(borders, scans - over, "right") == np.searchsorted(borders, scans, "right")]
-    far = scans[too_fast(recording, track, T_map_base, scans - over, scans)]
-    apart = [k for k in far.tolist() if not agree(recording, track, k - over, k, T_map_base)]
-    return np.array(apart, dtype=np.int64)
+    pairs = np.column_stack([scans - over, scans])
+    log = np.searchsorted(borders, pairs, "right")
+    pairs = pairs[log[:, 0] == log[:, 1]]
+    far = pairs[too_fast(recording, track, T_map_base, *pairs.T)].tolist()
+    apart = [(a, b) for a, b in far if not agree(recording, track, a, b, T_map_base)]
+    return np.array(apart, dtype=np.int64).reshape(-1, 2)
 
 
 def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] | int) -> Array:

@@ -130,7 +130,7 @@ def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray
     for over in (1, max(1, round(GAP_S / usual_period(recording)))):
         jumped = jumps(recording, track, T_map_base, borders, over)
         if len(jumped):
-            return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0]})"]
+            return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"]
     return []
 
 

@@ -204,8 +204,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         session = _joined(session, _session(other, run), run)
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
     usable, track = config.usable(recording.lidar), session.track
-    jumped = jumps(recording, track, track.T_track_base, session.borders)
-    torn = np.concatenate([session.breaks.gaps, np.stack([jumped - 1, jumped], axis=1)])
+    torn = np.concatenate([session.breaks.gaps, jumps(recording, track, track.T_track_base, session.borders)])
     poses, overlap = pose_all_scans(
         session.clouds, session.clouds_of, track, session.graph.T_map_keys, config.reregistration, torn
     )
