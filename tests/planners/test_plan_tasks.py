@@ -10,7 +10,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, RelocaliseConfig
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.recovery import Ladder, Move, ProgressWatch, RecoveryConfig, Rung, Wait
-from turtlebag.planners.tasks.waypoints import Waypoint, parse_polygons, parse_waypoint
+from turtlebag.planners.tasks.waypoints import Waypoint, parse_polygons, parse_waypoint, parse_waypoints
 from turtlebag.planners.tasks.wiggle import Wiggle
 
 S = 10**9
@@ -228,6 +228,24 @@ def test_an_entry_that_is_no_pose_says_why(entry, reason):
     found = parse_waypoint(entry)
     assert found.T_map_goal is None
     assert reason in found.reason
+
+
+def test_a_waypoints_file_is_a_list_of_entries_or_says_what_to_keep_out_of_besides():
+    entries, corners = [[1, 2], {"x": 3, "y": 4, "yaw": 0.5}], [[0, 0], [1, 0], [1, 1]]
+    alone = parse_waypoints(entries, "file")
+    both = parse_waypoints({"waypoints": entries, "keepout": [corners]}, "file")
+    for found, areas in ((alone, []), (both, [corners])):
+        assert [waypoint.written for waypoint in found.waypoints] == [(1.0, 2.0, 0.0), (3.0, 4.0, 0.5)]
+        assert [area.tolist() for area in found.keepout] == areas
+    for bad, told in (
+        ("home", "expected a list"),
+        ([], "no waypoints"),
+        ({"waypoints": 1}, "expected a list"),
+    ):
+        with pytest.raises(InputError, match=f"file: {told}"):
+            parse_waypoints(bad, "file")
+    with pytest.raises(InputError, match="file: unknown key home"):
+        parse_waypoints({"waypoints": entries, "home": 1}, "file")
 
 
 def test_areas_to_keep_out_of_have_three_finite_corners():
