@@ -249,13 +249,13 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
     usable, turning = config.usable(recording.lidar), recording.lidar.time_increment != 0.0
     motion = sweep_motion(recording) if turning else None
 
-    def front_end(clouds: Clouds) -> Track:
+    def placed(motion: SE2 | None) -> tuple[CloudsOf, Track]:
+        clouds_of = clouds_maker(recording, usable, motion)
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
         make = run.steps.front_end or front_end_maker(config.front_end)
-        return track_log(recording, clouds, config.tracking, usable, scans, make)
+        return clouds_of, track_log(recording, clouds_of(None), config.tracking, usable, scans, make)
 
-    clouds_of = clouds_maker(recording, usable, motion)
-    track = front_end(clouds_of(None))
+    clouds_of, track = placed(motion)
     if turning and len(recording) > 1:
         # where nobody who is believed says how the robot moved during a sweep, the scans do, once placed
         noise, no_borders = config.tracking.odometry, np.zeros(0, dtype=np.int64)
@@ -264,8 +264,7 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
             by_track = sweep_motion_by_track(recording, track.T_track_base)
             known = by_track if motion is None else motion
             motion = SE2(np.where(np.reshape(unknown, (-1, 1, 1)), by_track.xyt, known.xyt))
-            clouds_of = clouds_maker(recording, usable, motion)
-            track = front_end(clouds_of(None))
+            clouds_of, track = placed(motion)
     return motion, clouds_of, track
 
 
