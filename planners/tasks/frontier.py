@@ -28,7 +28,6 @@ def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
     beside = scipy.ndimage.binary_dilation(grid.cells == UNKNOWN, structure=EIGHT_NEIGHBOURS)
     labels, count = scipy.ndimage.label((grid.cells == FREE) & beside, structure=EIGHT_NEIGHBOURS)
     sizes = np.bincount(labels.ravel(), minlength=count + 1) * grid.resolution
-    sizes[0] = 0.0
     return np.where(sizes[labels] >= least_length, labels, 0).astype(np.int32)
 
 

@@ -16,7 +16,7 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.align import STEP_INFLATION
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
-from turtlebag.pipeline.slam.open3d_icp import match_points
+from turtlebag.pipeline.slam.open3d_icp import POINT_SIGMA_M, match_points
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.threads import WORTH_IT, in_parts
@@ -51,6 +51,8 @@ def test_points_give_the_pose_between_two_scans_of_posts(hall):
     assert np.hypot(*error[:2]) < 0.02
     assert abs(error[2]) < 0.01
     assert match.overlap > 0.6
+    same = match_points(clouds.of(i), clouds.of(i), np.zeros(3), 0.2)
+    np.testing.assert_allclose(same.information, point_information(clouds.of(i)) / POINT_SIGMA_M**2)
 
 
 def test_point_information_is_that_of_its_residuals():
