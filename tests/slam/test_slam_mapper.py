@@ -94,6 +94,13 @@ def test_odometry_that_comes_with_some_scans_only_is_refused(late):
     assert len(mapper) == 1
 
 
+def test_the_map_begins_where_the_odometry_does():
+    mapper = Mapper(LOG.lidar, LOG.T_base_lidar)
+    begun = mapper.add(LOG.scan(0), LOG.T_odom_base[0])
+    np.testing.assert_allclose(begun.xyt, LOG.T_odom_base.xyt[0], atol=1e-9)
+    np.testing.assert_allclose(mapper.T_map_odom.xyt, 0.0, atol=1e-9)
+
+
 def chain(n, rng):
     """Steps of a drive and one loop, with information of all kinds."""
     constraints = []
