@@ -15,27 +15,27 @@ from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import MIN_NORMAL_DOT, Limits, find_partner, sees
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
-# Of a scan with more points than this every second, third, ... is aligned.
+# Scans with more points than this are thinned to every second, third, ... point.
 MOST_POINTS = 400
-# A scan is aligned with so many key scans.
+# Number of key scans that a scan is aligned with.
 NEIGHBOURS = 8
-# Less of a scan than this on the surfaces of others tells nothing.
+# A smaller overlap with other scans is not a match.
 LEAST_OVERLAP = 0.3
-# Of the information along a direction, this many times what errors of the normals fake on average is not
-# believed (see `observable`).
+# Information along a direction below this many times what errors of the normals fake on average does not
+# count (see `observable`).
 FAKED = 1.5
-# Besides its noise the direction of a surface varies as much as this [rad^2] with where it is looked at from:
-# walls are not planes, and lines bend round their ends.
+# Variance of a surface's direction with the viewpoint, in addition to its noise [rad^2]: walls are not
+# planes, and lines bend round their ends.
 SURFACE_VAR = 0.05**2
-# Partners are looked up anew only after the scan moved this far [m], [rad]: a point slides along its
-# partner's line meanwhile, which the distance to the line does not notice.
+# Partners are looked up again only after the scan has moved this far [m], [rad]: until then a point slides
+# along its partner's line, which does not change its distance from the line.
 SAME_PARTNERS = 0.005
-# Weight of the prior beside what the scan itself sees; where it sees nothing any weight decides. A full
-# weight leaks the odometry's systematic turn into every step (Intel: 20 degrees a lap).
+# Weight of the prior relative to the scan; where the scan observes nothing, any weight will do. With full
+# weight, the odometry's systematic turn leaks into every step (Intel: 20 degrees a lap).
 PRIOR_SHARE = 0.01
-# Width of the Cauchy kernel that odometry is judged by, in standard deviations.
+# Width of the Cauchy kernel on the odometry, in standard deviations.
 CAUCHY = 2.0
-# The points of one scan share their errors: a match is worth far less than the sum of its points.
+# The errors of one scan's points are correlated: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
 
 
@@ -70,7 +70,7 @@ class Alignment:
 
     @property
     def agreement(self) -> float:
-        """The fraction that found a partner of the points that could."""
+        """The fraction with a partner among the points that could have one."""
         return self.overlap / self.known if self.known > 0.0 else 0.0
 
 
@@ -111,8 +111,8 @@ def align_kernel(
     limits: Limits,
     prior: Prior,
 ) -> tuple[Array, Array, int, int, int, float, float]:
-    """`align` on plain arrays: pose (3,), information (3, 3), points matched, usable, and in space that no
-    key scan saw; rms [m], summed cost of all others."""
+    """`align` on plain arrays: pose (3,), information (3, 3), numbers of points matched, usable, and in space
+    that no key scan saw; rms [m], summed cost of all others."""
     points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
     pose = start_pose.copy()
     lo, hi = clouds.starts[scan], clouds.starts[scan + 1]
@@ -224,7 +224,7 @@ def add_equation(h: Array, g: Array, w: float, j0: float, j1: float, j2: float, 
 
 @njit(cache=True)
 def _step(hessian: Array, faked: float, gradient: Array, pose: Array, prior: Prior) -> Array:
-    """Gauss-Newton step in the base frame; directions the scan is blind in are left to the prior."""
+    """Gauss-Newton step in the base frame; unobservable directions are left to the prior."""
     a = observable(hessian, faked)
     answer = _safe_solve(hessian, gradient)
     b = -(a @ answer)
@@ -237,7 +237,7 @@ def _step(hessian: Array, faked: float, gradient: Array, pose: Array, prior: Pri
         if prior.cauchy > 0.0:
             apart = contradiction(e - answer, prior.information, a)
             w = 1.0 / (1.0 + apart / (prior.cauchy * prior.cauchy))
-        # what the scan sees it decides; odometry fills in the directions it is blind in
+        # the scan decides what it observes, the odometry all other directions
         w *= PRIOR_SHARE
         a = a + w * prior.information
         b = b - w * (prior.information @ e)
@@ -246,10 +246,10 @@ def _step(hessian: Array, faked: float, gradient: Array, pose: Array, prior: Pri
 
 @njit(cache=True)
 def contradiction(apart: Array, information: Array, seen: Array) -> float:
-    """How far a scan and a prior are apart, in squared standard deviations of both together.
+    """Squared Mahalanobis distance between a scan and a prior, with the uncertainty of both.
 
-    `apart` (3,) is the scan's own answer seen from the prior's, `information` (3, 3) the prior's, `seen` what
-    the points of the scan tell. In a direction that the scan hardly sees it contradicts nobody.
+    `apart` (3,) is the scan's own answer relative to the prior's, `information` (3, 3) that of the prior,
+    `seen` that of the scan's points. A scan contradicts nothing in directions that it hardly observes.
     """
     sure = seen / STEP_INFLATION
     return float(apart @ (information @ _safe_solve(information + sure, sure @ apart)))
@@ -274,11 +274,11 @@ def _safe_solve(a: Array, b: Array) -> Array:
 def observable(hessian: Array, faked: float) -> Array:
     """The information that is not an artefact of noisy normals.
 
-    In a featureless corridor every true normal is across; the fitted ones scatter, and their scatter
-    alone puts information along the corridor: `faked`, the sum over the points of weight times variance
-    of the normal's direction. What the weaker direction of the translation has, yaw eliminated, counts as
-    far as it exceeds FAKED times that. Nothing else is taken: in a round corridor how far the robot turns is
-    not seen, nor how far it goes, but how both go together is.
+    In a featureless corridor all true normals point across it; the fitted ones scatter, which alone yields
+    information along the corridor: `faked`, the sum over the points of weight times variance of the normal's
+    direction. The weaker direction of the translation, with yaw eliminated, keeps only what exceeds FAKED
+    times that. Nothing else is removed: in a round corridor neither the turn nor the distance is observed,
+    but their combination is.
     """
     out = hessian.copy()
     a, b, d = hessian[0, 0], hessian[0, 1], hessian[1, 1]

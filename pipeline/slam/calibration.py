@@ -25,16 +25,16 @@ from turtlebag.pipeline.slam.pose_graph import WEAK
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
 from turtlebag.pipeline.slam.refine import match_pairs
 
-# Key scans are compared over a baseline, so much driving [m] or a radian of turning: far enough for shares to
-# stand out of the noise of a match, near enough for the views to overlap.
+# Key scans are compared over a baseline, this much driving [m] or a radian of turning: far enough for scale
+# errors to exceed the noise of a match, near enough for the views to overlap.
 BASELINE_M = 1.5
-# What odometry may be wrong by before anything is known: share of distance and of turn, radian per metre.
+# Error of the odometry before calibration: share of distance and of turn, radian per metre.
 ODOMETRY_SHARE = 0.05
-# Odometry that is wrong by this share of the way lies: wheels whose clock is late are wrong by less at every
-# start.
+# Odometry with a larger relative error than this is wrong, not late: the error of wheels with a late clock
+# stays below it whenever the robot starts.
 GROSS = 0.3
-# Standard deviations over one baseline before anything is known, x, y [m] and yaw [rad], and the least they
-# are taken for; what so many pairs of key scans tell weighs as much as the former.
+# Standard deviations over one baseline before calibration, x, y [m] and yaw [rad], and the smallest ones
+# assumed; this many pairs of key scans weigh as much as the former.
 USUAL_NOISE = np.array([0.03, 0.03, 0.015])
 LEAST_NOISE = 0.1 * USUAL_NOISE
 ENOUGH = 30.0
@@ -64,7 +64,7 @@ class Calibration:
         return out
 
     def effects(self, steps: Array) -> Array:
-        """What each share moves the ends of corrected steps (n, 3) by, in the ends' frames (n, 3, 3)."""
+        """How far each error moves the ends of corrected steps (n, 3), in the ends' frames (n, 3, 3)."""
         x, y, yaw = steps.T
         out = np.zeros((len(steps), 3, 3))
         out[:, 0, 0], out[:, 1, 0] = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
@@ -80,8 +80,8 @@ class Calibration:
 def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_keys: SE2) -> Calibration:
     """Systematic errors of odometry, from key scans matched with each other without its help.
 
-    `T_map_keys` (n,) only start the matches. Each pair counts in the directions its scans see;
-    stretches where odometry lies are outvoted (Cauchy weights).
+    `T_map_keys` (n,) only start the matches. Each pair counts in the directions its scans observe; stretches
+    of wrong odometry are down-weighted (Cauchy kernel).
     """
     steps = T_odom_keys.steps()
     pairs = _baseline_pairs(steps)
@@ -99,7 +99,7 @@ def _baselines(steps: Array) -> Array:
 
 
 def _baseline_pairs(steps: Array) -> NDArray[np.int64]:
-    """Each key with the first one a baseline further on, (n, 2)."""
+    """Each key with the first one at least a baseline later, (n, 2)."""
     path = np.concatenate([[0.0], np.cumsum(_baselines(steps))])
     j = np.searchsorted(path, path + 1.0)
     i = np.flatnonzero(j < len(path))
@@ -112,7 +112,7 @@ def _matched(
     """Per pair (i, j): T_i_j (n, 3) by its two scans alone, information (n, 3, 3), overlap (n,)."""
     i, j = pairs[:, 0], pairs[:, 1]
     T_i_j = (T_map_keys[i].inverse() @ T_map_keys[j]).xyt
-    # every pair gets key scans of its own, so that each moves on by its own match
+    # every pair gets its own key scans, so that each moves on by its own match
     own_keys, own_pairs = keys[pairs].ravel(), np.arange(2 * len(pairs)).reshape(-1, 2)
     for limits in (FINE._replace(gate=ROUGH.gate), FINE, FINE):
         poses = np.zeros((2 * len(pairs), 3))
@@ -122,7 +122,8 @@ def _matched(
 
 
 def _fit(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
-    """Ridge regression of the shares, reweighted; noise from what is left, then once more with it."""
+    """Ridge regression of the three errors, iteratively reweighted; noise from the residuals, then once more
+    with it."""
     odometry = _chained(steps, pairs)
     error = (SE2(odometry).inverse() @ SE2(matched)).xyt
     jacobian = _jacobian(steps, pairs, odometry)
@@ -150,7 +151,7 @@ def _joint(information: Array, noise: Array) -> Array:
 
 
 def _noise(left: Array, information: Array) -> Array:
-    """Standard deviations by the median of what is left, pulled to the usual ones when few pairs tell."""
+    """Standard deviations by the median of the residuals, pulled to the usual ones if there are few pairs."""
     variance = np.diagonal(np.linalg.inv(information + WEAK * np.eye(3)), axis1=1, axis2=2)
     sees = variance < 4.0 * USUAL_NOISE**2
     out = USUAL_NOISE.copy()
@@ -164,7 +165,7 @@ def _noise(left: Array, information: Array) -> Array:
 
 
 def _jacobian(steps: Array, pairs: NDArray[np.int64], odometry: Array) -> Array:
-    """Effect of each share on a pair's end pose, (n, 3, 3), by difference."""
+    """Effect of each error on a pair's end pose, (n, 3, 3), by finite differences."""
     h = 1e-4
     out = np.zeros((len(pairs), 3, 3))
     for k, moved in enumerate((Calibration(1.0 + h), Calibration(1.0, 1.0 + h), Calibration(1.0, 1.0, h))):

@@ -13,14 +13,14 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.clouds import PER_POINT, Clouds, make_clouds
 from turtlebag.pipeline.slam.range_noise import range_noise
 
-# Points of a log of no more readings than this stay in memory, some 70 bytes each.
+# The points of logs with no more readings than this stay in memory, some 70 bytes each.
 FEW_READINGS = 1_000_000
 
 
 def clouds_maker(
     recording: Recording, usable_range: float, motion: SE2 | None
 ) -> Callable[[NDArray[np.int64] | None], Clouds]:
-    """`make_clouds` of any scans of a recording, None for all; those of a short log are made once."""
+    """`make_clouds` of any scans of a recording, None for all; for a short log they are made only once."""
     noise = once(lambda: range_noise(recording, usable_range))
 
     def made(scans: NDArray[np.int64] | None = None) -> Clouds:
@@ -33,7 +33,7 @@ def clouds_maker(
 
 
 def joined_clouds(clouds: Sequence[Clouds]) -> Clouds:
-    """Several clouds as one, their scans numbered on from one to the next."""
+    """Several clouds as one, with their scans numbered consecutively."""
     rows = np.cumsum([0, *[len(cloud.points) for cloud in clouds]])
     starts = [cloud.starts[:-1] + row for cloud, row in zip(clouds, rows, strict=False)]
     tables = [

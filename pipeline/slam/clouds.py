@@ -21,30 +21,30 @@ from turtlebag.datasets.types import NOTHING_M, Recording
 from turtlebag.pipeline.slam.range_noise import LEAST_M, RangeNoise, range_noise
 from turtlebag.pipeline.slam.threads import in_parts
 
-# Fewer points, or fewer with a surface line, than this place nothing; nor do the lines of a scan most of
-# whose points have none: posts, table legs, thin trunks.
+# A scan with fewer points, or fewer points with a surface line, cannot be matched; nor are lines used if most
+# points have none: posts, table legs, thin trunks.
 MIN_LINES, LINE_SHARE = 8, 0.3
-# A sweep's motion is kept at so many instants after its start, evenly spaced: a robot that stops turning does
-# so within one.
+# Number of instants, evenly spaced, at which the motion within a sweep is kept: a robot may stop turning
+# within one.
 KNOTS = 8
-# Nobody drives this many times as fast as nearly always before; so fast [m/s, rad/s] any robot may drive and
-# turn, however seldom it does.
+# No robot drives faster than this many times what it hardly ever exceeds; any robot may drive and turn this
+# fast [m/s, rad/s], however rarely it does.
 FASTER, NEARLY_ALWAYS = 1.3, 0.98
 ANY_ROBOT = (1.0, 4.0)
-# Scans further apart than this [s] have seen nothing of what lies between.
+# Between scans further apart than this [s] nothing is known.
 GAP_S = 2.0
-# Up to so far from each other [m], or so many beam spacings of a perpendicular hit, returns may lie on one
-# surface: those of a wall at a grazing angle are far apart. With the reach in place of both, acapulco, the
-# long corridor and ACES get worse by up to a tenth.
+# Returns up to this far apart [m], or this many beam spacings of a perpendicular hit, may lie on one surface:
+# at a grazing angle, those of a wall are far apart. With the reach in place of both, acapulco, the long
+# corridor and ACES get worse by up to a tenth.
 MIN_GAP_M, GRAZING = 0.06, 6.0
-# A line reaches so far from its point, or so many beam spacings; and on to MAX_REACH_M while its direction
-# is less sure.
+# A line extends this far from its point [m], or this many beam spacings, and on to MAX_REACH_M while its
+# direction is less certain than it should be.
 MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
-# A line is none when its returns lie off it by more than their noise explains but once in a thousand times.
+# A line is rejected if its returns deviate from it by more than noise explains, at one error in a thousand.
 Z_SURFACE = 3.09
-# Returns beyond are not used [m]: the farther, the fewer beams a wall has.
+# Returns beyond this are not used [m]: the farther a wall, the fewer beams hit it.
 USABLE_M = 30.0
-# The direction of a line less sure than this says nothing.
+# A line whose direction is less certain than this is not used.
 UNSURE_RAD = 0.3
 
 
@@ -76,7 +76,7 @@ class Clouds(NamedTuple):
         return int(np.count_nonzero(self.line_ok[self.starts[scan] : self.starts[scan + 1]]))
 
     def placed_by(self, scan: int) -> Literal["lines", "points", "nothing"]:
-        """What a scan is matched by."""
+        """Whether a scan is matched by lines or by points."""
         points, lines = int(self.starts[scan + 1] - self.starts[scan]), self.lines(scan)
         if lines >= max(MIN_LINES, LINE_SHARE * points):
             return "lines"
@@ -107,11 +107,11 @@ def make_clouds(
     noise: RangeNoise | None = None,
     scans: NDArray[np.int64] | None = None,
 ) -> Clouds:
-    """Points of every scan, or of `scans` (k,) numbered anew, the robot's motion during the sweep undone.
+    """Deskewed points of every scan, or of `scans` (k,) numbered anew.
 
     `motion` (n, KNOTS) is the base's during each sweep as `sweep_motion` gives it; None uses the log's own
-    odometry where the beams are taken one after another. `noise` is the lidar's, None: as the
-    log itself shows it.
+    odometry where the beams are taken one after another. `noise` is the lidar's; None estimates it from the
+    log.
     """
     noise = range_noise(recording, usable_range) if noise is None else noise
     lidar, some = recording.lidar, slice(None) if scans is None else scans
@@ -139,29 +139,28 @@ def make_clouds(
 
 
 def fastest(moved: Array, seconds: Array) -> Array:
-    """Speeds (2,) [m/s, rad/s] that a robot never exceeds; it moved so far (n, 2) in so many seconds (n,)."""
+    """Speeds (2,) [m/s, rad/s] that a robot never exceeds, from its motions (n, 2) over intervals (n,)
+    [s]."""
     usual = np.quantile(moved / seconds[:, None], NEARLY_ALWAYS, axis=0)
     return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
 
 
 def way_and_turn(steps: Array) -> Array:
-    """Way [m] and turn [rad] of motions (n, 3), both without sign, (n, 2)."""
+    """Distance [m] and turn [rad] of motions (n, 3), both unsigned, (n, 2)."""
     return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])])
 
 
 def sweep_motion(recording: Recording) -> SE2 | None:
-    """Base poses (n, KNOTS) during each sweep seen from its start, by odometry; None without a stream
-    or where a sweep takes no time.
-
-    The last one is that at the end of the sweep. Where the odometry jumps the sweep before stands in.
-    """
+    """Base poses (n, KNOTS) during each sweep relative to its start, by odometry; None without a stream or
+    where a sweep takes no time. The last one is that at the end of the sweep. Where the odometry jumps, the
+    motion of the previous sweep is used."""
     sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
     if recording.odometry is None or len(recording.odometry) < 2 or sweep_s == 0.0:
         return None
     after_ns = nanoseconds(np.arange(KNOTS + 1) / KNOTS * sweep_s)
     during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
     T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
-    # a jump may end within a sweep, and move its end by little: each part is asked
+    # a jump may end within a sweep and move its end only a little, so each part is checked
     moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
     part_s = np.full(len(moved), abs(sweep_s) / KNOTS)
     too_far = moved > fastest(moved, part_s) * part_s[:, None]
@@ -171,10 +170,10 @@ def sweep_motion(recording: Recording) -> SE2 | None:
 
 
 def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
-    """As `sweep_motion`, from where the scans themselves were placed (n,): for logs without odometry.
+    """As `sweep_motion`, from the poses of the scans themselves (n,), for logs without odometry.
 
-    A scan that is not corrected yet is placed as of the middle of its sweep, so the speed during the
-    sweep is the mean of those before and after.
+    A scan that is not corrected yet has the pose of the middle of its sweep, so the speed during the sweep is
+    the mean of those before and after.
     """
     sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
     waits = seconds(np.diff(recording.stamps_ns))
@@ -187,7 +186,7 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
 
 
 def known_motion(recording: Recording, motion: SE2 | None = None) -> SE2:
-    """`motion` (n, KNOTS), or that by odometry where it is None; zero where nobody knows, or where the lidar
+    """`motion` (n, KNOTS), or that by odometry if it is None; zero where it is unknown, or where the lidar
     takes all beams at once."""
     if recording.lidar.time_increment != 0.0:
         motion = sweep_motion(recording) if motion is None else motion
@@ -200,7 +199,8 @@ def known_motion(recording: Recording, motion: SE2 | None = None) -> SE2:
 def _place(
     valid: NDArray, ranges: Array, beams: Array, T_base_lidar: Array, motion: Array, points: Array
 ) -> None:
-    """Where the valid beams (n, beams) of such ranges (m,) end, in the base frame at the sweep's start."""
+    """End points of the valid beams (n, beams) with these ranges (m,), in the base frame at the sweep's
+    start."""
     fractions = np.linspace(0.0, 1.0, len(beams))
     row = 0
     for scan in range(len(valid)):
@@ -218,13 +218,13 @@ def _fit_lines(
     """Total least squares line through each point's neighbours in beam order, into `lines`: normals, centers,
     line_ok, point_var, normal_var.
 
-    The line grows beam by beam to either side for as long as what its returns lie off it is their noise
-    (chi-squared test), up to the reach that makes its direction sure. `point_var` comes in as the
-    variance of the ranges.
+    The line grows beam by beam to both sides as long as its residuals pass a chi-squared test against the
+    noise, up to the reach that makes its direction certain enough. `point_var` comes in as the variance of
+    the ranges.
     """
     normals, centers, ok, point_var, normal_var = lines
     range_var = point_var.copy()
-    # Arrays made once: numba counts references to a list at every access, by atomic operations.
+    # Allocated once, because numba counts references to a list at every access, with atomic operations.
     sums, ends, alive = np.zeros(5), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
     for scan in range(len(starts) - 1):
         lo, hi = starts[scan], starts[scan + 1]
@@ -237,7 +237,7 @@ def _fit_lines(
             reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
             reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
             gap2 = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M) ** 2
-            # the noise of both parts two neighbours, too
+            # the noise also separates neighbours
             gap2 += 2.0 * Z_SURFACE**2 * range_var[i]
             sums[:] = 0.0
             count = 1
@@ -277,7 +277,7 @@ def _fit_lines(
                     c2, s2 = (half / root, mixed / root) if root > 0.0 else (1.0, 0.0)
                     small = max(0.5 * (cxx + cyy) - 0.5 * (cxx - cyy) * c2 - cxy * s2, 0.0)
                     across2 = 0.5 * ((1.0 - c2) * ray_xx - 2.0 * s2 * ray_xy + (1.0 + c2) * ray_yy)
-                    # few returns close together do not tell how the line stands to the ray
+                    # a few returns close together do not determine the angle between line and ray
                     steep = min(1.0, across2 + range_var[i] / max(n * large, LEAST_M * LEAST_M))
                     noise = range_var[i] * steep + LEAST_M * LEAST_M
                     if n >= 3 and n * small > noise * _limit(n - 2):
@@ -307,7 +307,7 @@ def _fit_lines(
 
 @njit(cache=True, nogil=True)
 def _limit(freedom: int) -> float:
-    """Chi-squared that noise alone exceeds as rarely as Z_SURFACE says (Wilson and Hilferty 1931)."""
+    """The chi-squared that noise alone exceeds as rarely as Z_SURFACE says (Wilson and Hilferty 1931)."""
     share = 2.0 / (9.0 * freedom)
     return freedom * (1.0 - share + Z_SURFACE * math.sqrt(share)) ** 3
 

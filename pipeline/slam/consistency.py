@@ -20,11 +20,9 @@ from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, rea
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
-    """Key i recognised at key j's place: `T_j_i` (3,), how well the scans fit there, and what became of it.
-
-    `score` is of the coarse correlation, `overlap` the share of points that fit, `violation` that of points
-    that violate the other's free space.
-    """
+    """Key i recognised at key j's place: `T_j_i` (3,), the quality of the fit, and the verdict. `score` is
+    that of the coarse correlation, `overlap` the share of points that fit, `violation` the share that
+    violates the other's free space."""
 
     i: int
     j: int
@@ -37,18 +35,18 @@ class Recognised:
     verdict: str = "candidate"
 
     def judged(self, verdict: str) -> Recognised:
-        """The same with a verdict."""
+        """A copy with this verdict."""
         return replace(self, verdict=verdict)
 
 
 def consistency(
     found: Sequence[Recognised], drift: Drift, reach_m: float, inflation: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Matrices (n, n) over pairs: whether they can be compared at all, and whether they agree.
+    """Matrices (n, n) over pairs of places: whether they can be compared at all, and whether they agree.
 
-    Both places move the newer part of the log onto the older one, nearly alike when both are true: as well as
-    the ways between them and the places themselves (their information divided by `inflation`) are known.
-    Beyond `reach_m` two places say nothing about each other.
+    Each place moves the newer part of the log onto the older one. If both are true, the two motions are
+    nearly equal: within the covariance of the paths between them and of the places themselves (their
+    information divided by `inflation`). Beyond `reach_m`, two places cannot be compared.
     """
     n, T = len(found), drift.T_map_keys
     comparable, agree = np.zeros((n, n), dtype=bool), np.eye(n, dtype=bool)
@@ -100,14 +98,14 @@ def agreeing_sets(found: Sequence[Recognised], agree: NDArray[np.bool_]) -> list
 
 
 def support(found: Sequence[Recognised], members: Sequence[int]) -> int:
-    """How many different submaps were recognised in a set."""
+    """The number of different submaps recognised in a set."""
     return len({found[k].i for k in members})
 
 
 @njit(cache=True)
 def _grow(seed: int, left: NDArray, agree: NDArray, overlap: Array) -> NDArray:
-    """The set grown from one place among those `left` (n,): next comes whichever agrees with most that may
-    still come, of several the one that fits best."""
+    """The set grown from one place among those `left` (n,): the next member is the candidate that agrees with
+    most other candidates, and of several the one that fits best."""
     members, candidates = [seed], left[(left != seed) & agree[seed, left]]
     inside = np.zeros(len(candidates), dtype=np.int64)
     for a in range(len(candidates)):

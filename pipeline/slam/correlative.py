@@ -18,7 +18,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
-# The score of a cell that nothing saw, 0..255.
+# The score of an unseen cell, 0..255.
 HIT, UNSEEN = 255, 128
 
 
@@ -56,7 +56,7 @@ def best_pose(
 
     Exhaustive over translations in steps of the field's resolution and rotations of `step_rad`.
     """
-    # Points of one layout, or it would be compiled once more.
+    # One array layout only, because another would be compiled separately.
     return _search(
         field,
         np.ascontiguousarray(points),
@@ -88,7 +88,7 @@ def points_in_map(points: Array, starts: NDArray, keys: NDArray, poses: Array) -
 def _see_through(
     values: NDArray, clouds: Clouds, keys: NDArray, poses: Array, corner: Array, resolution: float
 ) -> None:
-    """Nothing is where beams of the scans `keys` passed."""
+    """Clear the cells that beams of the scans `keys` passed."""
     rows, cols = values.shape
     for k in range(len(keys)):
         c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])

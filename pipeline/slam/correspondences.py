@@ -15,16 +15,16 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
-# A point is looked for so many bearings to either side at most.
+# A point is searched within this many bearings to either side.
 MAX_HALF_WINDOW = 10
-# Surfaces whose normals agree by less are not the same (cosine).
+# Surfaces whose normals agree by less than this (cosine) are different surfaces.
 MIN_NORMAL_DOT = 0.6
 
 
 class Limits(NamedTuple):
-    """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of a robust kernel, for
-    those who have one; after so many iterations it is over, and with none the fit at the start is told. Of a
-    scan with more than `most_points` every second, third, ... point is used, by those who may."""
+    """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of the robust kernel,
+    where there is one. An alignment ends after `iterations`; with none, it returns the fit at the start.
+    Scans with more than `most_points` may be thinned to every second, third, ... point."""
 
     gate: float
     sigma: float
@@ -32,12 +32,12 @@ class Limits(NamedTuple):
     most_points: int = 10**6
 
 
-# Where poses are rough, and where they are good.
+# For rough poses, and for good ones.
 ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
 
 
-# Kernels called once for each point are inlined: to pass the arrays of Clouds on took 15 % of mapping. They
-# make no arrays, so they need no count of who holds one (`_nrt`): to keep it took another 12 %.
+# Kernels called once per point are inlined: passing the arrays of Clouds on took 15 % of mapping. They make no
+# arrays, so they need no reference counts (`_nrt`), which took another 12 %.
 
 
 @njit(cache=True, forceinline=True, _nrt=False)
@@ -53,8 +53,8 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
     if r > gate:
         half = min(half, int(gate / r * scale) + 1)
     best, best_d2 = -1, gate * gate
-    # Outwards, until all that could follow is farther than the best: at an angle a nothing is nearer than
-    # r sin a >= r (a - a^3 / 6). Of two at the same distance the one at the smaller bearing counts.
+    # Outwards, until all remaining points must be farther than the best: at an angle a, nothing is nearer
+    # than r sin a >= r (a - a^3 / 6). Of two at the same distance, the one at the smaller bearing counts.
     for away in range(half + 1):
         angle = min((away - 1.000001) / scale, 1.4)
         least = r * angle * (1.0 - angle * angle / 6.0)
@@ -78,8 +78,8 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
 
 @njit(cache=True, forceinline=True, _nrt=False)
 def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
-    """Whether scan `key` had (x, y), in its base frame, in view: all beams about that bearing reached it but
-    for `margin` [m], and there are at least two of them."""
+    """Whether scan `key` had (x, y), in its base frame, in view: all beams around that bearing, at least two,
+    reached it to within `margin` [m]."""
     points, table, origin = clouds.points, clouds.table, clouds.origin
     n_bins = table.shape[1]
     dx, dy = x - origin[0], y - origin[1]

@@ -21,29 +21,27 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import WEAK
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
-# Steps say too much of their errors: over 3 to 300 m the squared ones come to 0.04 to 0.57 of the covariance
-# that they add up to (six logs with a reference, the mean of each).
+# The steps' covariances are too large: over 3 to 300 m the squared errors are 0.04 to 0.57 of the accumulated
+# covariance (six logs with a reference, the mean of each).
 HONEST = 0.25
-# What nothing is known of.
+# Covariance of a completely unknown pose.
 ANYWHERE = 1e12 * np.eye(3)
-# Where x, y and yaw stand among rotation and translation in space.
+# Indices of x, y and yaw among rotation and translation in space.
 IN_PLANE = [3, 4, 2]
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
     """Key poses (n, 3), and the covariances about the origin of the steps between them (n - 1, 3, 3).
-
-    `broken` (n - 1,) are steps that may be anything.
-    """
+    `broken` (n - 1,) are steps with an unknown motion."""
 
     T_map_keys: Array
     steps: Array
     broken: NDArray[np.bool_]
 
     def along(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> Array:
-        """Covariance gathered along the log between keys (k,) and others (k,), about the origin, (k, 3, 3);
-        over a break anything."""
+        """Covariance accumulated along the log between keys (k,) and others (k,), about the origin, (k, 3,
+        3); unbounded over a break."""
         total, part = self._since_first
         gathered = total[np.maximum(i, j)] - total[np.minimum(i, j)]
         gathered[part[i] != part[j]] = ANYWHERE
@@ -51,20 +49,22 @@ class Drift:
 
     @cached_property
     def _since_first(self) -> tuple[Array, NDArray[np.int64]]:
-        """The steps summed up to each key (n, 3, 3), and the unbroken part of the log that it is in (n,)."""
+        """The accumulated steps at each key (n, 3, 3), and the unbroken part of the log that it belongs to
+        (n,)."""
         total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(self.steps, axis=0)])
         return total, np.concatenate([[0], np.cumsum(self.broken)])
 
     def ways(self, loops: Sequence[Constraint]) -> Callable[[int], Array]:
-        """The same from a key, which is asked for, to every key, by the surest way through steps and loops,
+        """The covariance from a given key to every key, along the most certain path through steps and loops,
         (n, 3, 3)."""
         n = len(self.T_map_keys)
         ends = np.array([(c.i, c.j) for c in loops], dtype=np.int64).reshape(-1, 2)
         whole = np.flatnonzero(~self.broken)
         edges = np.vstack([np.column_stack([whole, whole + 1]), ends])
-        told = covariances(self.T_map_keys, ends[:, 1], [c.information for c in loops])
-        covariance = np.concatenate([self.steps[whole], told])
-        # Of one layout, or it would be compiled once more: four seconds where the robot waits.
+        of_loops = covariances(self.T_map_keys, ends[:, 1], [c.information for c in loops])
+        covariance = np.concatenate([self.steps[whole], of_loops])
+        # One array layout only, because another would be compiled separately: four seconds during which the
+        # robot waits.
         graph = (*_rows(n, edges), covariance, edges, np.ascontiguousarray(self.T_map_keys))
         return lambda i: _surest(ANYWHERE, *graph, i)
 
@@ -72,15 +72,15 @@ class Drift:
 def drift_of(
     T_map_keys: Array, steps: Sequence[Constraint], broken: NDArray[np.bool_] | None = None
 ) -> Drift:
-    """The drift of keys (n, 3) that steps hold together."""
+    """The drift of keys (n, 3) connected by steps."""
     n = len(T_map_keys)
     size = len(steps[0].information) if steps else 3
     information = np.zeros((max(n - 1, 0), size, size))
     along = [c for c in steps if c.j == c.i + 1 < n]
     if along:
         np.add.at(information, [c.i for c in along], np.array([c.information for c in along]))
-    told = covariances(T_map_keys, np.arange(1, n), information)
-    return Drift(T_map_keys, told, np.zeros(len(told), dtype=bool) if broken is None else broken)
+    of_steps = covariances(T_map_keys, np.arange(1, n), information)
+    return Drift(T_map_keys, of_steps, np.zeros(len(of_steps), dtype=bool) if broken is None else broken)
 
 
 def covariances(T_map_keys: Array, ends: NDArray[np.int64], information: Sequence[Array] | Array) -> Array:
@@ -114,14 +114,14 @@ def read_at(covariance: Array, poses: Array) -> Array:
 
 
 def reach(covariance: Array) -> tuple[Array, Array]:
-    """How far off [m] and how far turned [rad] a pose of covariance (..., 3, 3) may be."""
+    """How far off [m] and how far turned [rad] a pose with covariance (..., 3, 3) may be."""
     xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
     largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
     return SIGMAS * np.sqrt(largest), SIGMAS * np.sqrt(covariance[..., 2, 2])
 
 
 def _rows(n: int, edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For each key where its edges begin (n + 1,), and the edges of all keys one after another."""
+    """For each key the start of its edges (n + 1,), and the edges of all keys one after another."""
     ends = edges.ravel()
     return np.searchsorted(np.sort(ends), np.arange(n + 1)), np.argsort(ends, kind="stable") // 2
 
@@ -136,7 +136,7 @@ def _surest(
     poses: Array,
     start: int,
 ) -> Array:
-    """Dijkstra over what each edge adds to the variance of its end and of a point a metre beside it."""
+    """Dijkstra over the variance that each edge adds to its end and to a point a metre beside it."""
     n = len(poses)
     out = np.empty((n, 3, 3))
     out[:] = anywhere

@@ -25,8 +25,8 @@ WORST = 10
 
 
 def loop_record(result: SlamResult) -> dict[str, Any]:
-    """Key scans, and every candidate for a loop, by distance and by place recognition: scores, verdict,
-    what is left of it at the final poses; and the scans before which the log breaks."""
+    """Key scans, and every loop candidate, by distance and by place recognition: scores, verdict, residual at
+    the final poses; and the scans before which the track breaks."""
     session = result.session
     return {
         "keys": result.keys,
@@ -45,7 +45,7 @@ def _bridged(session: Session, scan: int) -> bool:
 
 
 def candidate(found: Loop | Recognised, T_map_keys: SE2 | Array) -> dict[str, Any]:
-    """What is told of a candidate and what is left of it at the final poses, of the plane or of space."""
+    """A candidate as written, with its residual at the final poses, in the plane or in space."""
     return {
         "i": found.i,
         "j": found.j,
@@ -73,8 +73,8 @@ def _residual(found: Loop | Recognised, T_map_keys: SE2 | Array) -> dict[str, fl
 
 
 def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> None:
-    """Write `explain.json` (worst edges, contradicting places, hypotheses, calibration) and the map that
-    the front end alone would have drawn, `before.pgm`, to hold beside `map.pgm`."""
+    """Write `explain.json` (worst edges, contradicting places, hypotheses, calibration), and the map by the
+    front end alone, `before.pgm`, to compare with `map.pgm`."""
     session = result.session
     usable = config.usable(session.recording.lidar)
     before = make_grid(session.recording, session.track.T_track_base, config.grid, usable, session.motion)
@@ -96,7 +96,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
 
 
 def worst_edges(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> list[dict[str, Any]]:
-    """The constraints that fit the final poses least, worst first."""
+    """The constraints with the largest residuals at the final poses, worst first."""
     squared = mahalanobis(T_map_keys, constraints)
     order = np.argsort(-squared, kind="stable")[:WORST]
     return [

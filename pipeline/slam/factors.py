@@ -28,5 +28,5 @@ class Constraint:
 
 
 def firm(loops: Sequence[Constraint]) -> list[Constraint]:
-    """Loops without their kernels, which from far away would take every one for an outlier."""
+    """Loops without their kernels, with which a distant start would make outliers of all of them."""
     return [replace(loop, cauchy=0.0) for loop in loops]

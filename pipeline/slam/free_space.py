@@ -13,14 +13,13 @@ from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import relative_pose
 from turtlebag.pipeline.slam.threads import in_parts
 
-# A point this near a wall of the other scan agrees with it; one that lies so far in front of all it saw there
-# violates its free space [m].
+# A point this near a wall of the other scan agrees with it; a point this far in front of everything that the
+# other scan saw there violates its free space [m].
 WALL_M, THROUGH_M = 0.15, 0.4
-# Key scans this near are visits of one place [m]; so many pairs of them at most are compared.
+# Key scans this near are visits of one place [m]; at most this many pairs are compared.
 NEAR_M, MOST_PAIRS = 1.5, 3000
-# Two visits of one place violate each other's free space by no larger share, but for what is usual in the
-# log: true loops do so by up to 0.04 (CSAIL, belgioioso), those that fold mazes of cells alike by 0.07 to
-# 0.19.
+# The largest share of free-space violations between two visits of one place, beyond what is usual in the log:
+# true loops reach 0.04 (CSAIL, belgioioso), those that fold mazes of identical cells 0.07 to 0.19.
 MOST_VIOLATIONS = 0.05
 
 

@@ -37,9 +37,9 @@ from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 FILE = "graph.npz"
 FORMAT = 10
-# What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
-# shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
-# letter is.
+# Kind of each array - integers (i), numbers (f), finite numbers (n) or booleans (b) - and its shape: b beams,
+# s scans, w instants of a sweep, k keys, m steps between keys; other dimensions agree where the letter is the
+# same.
 LAYOUT = {
     "stamps_ns": ("i", "s"),
     "ranges": ("f", "sb"),
@@ -82,7 +82,7 @@ INDICES = {
     "breaks_gaps": "s",
     **{f"{record}_{end}": "k" for record in ("constraint", "loop", "recognised") for end in "ij"},
 }
-"""Arrays that number scans or keys."""
+"""Arrays of scan or key numbers."""
 UNREADABLE = (
     OSError, EOFError, ValueError, KeyError, TypeError, AttributeError,
     InputError, zipfile.BadZipFile, zlib.error,
@@ -90,11 +90,11 @@ UNREADABLE = (
 Change = tuple[str, str, str]
 """Dotted key of a setting, its value before and now."""
 FARTHEST = 1e8
-"""No pose is farther off than this [m], no weight of one larger than its square [1/m^2]."""
+"""No pose is farther away than this [m], and no weight of one is larger than its square [1/m^2]."""
 
 
 def save_session(path: Path, session: Session, config: SlamConfig) -> None:
-    """Write a session and the settings it was made with. No path and no time goes in."""
+    """Write a session and its settings, without paths and times."""
     recording, track, graph = session.recording, session.track, session.graph
     about = {
         "format": FORMAT,
@@ -130,8 +130,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
 
 
 def load_session(folder: Path) -> tuple[Session, SlamConfig]:
-    """The session of a map's folder and the settings it was made with; InputError when it holds none that
-    can be read."""
+    """The session of a map's folder and its settings; InputError if there is none that can be read."""
     path = folder / FILE
     if not path.is_file():
         raise InputError(f"{folder}: no {FILE} to continue from; map its recording again")
@@ -144,10 +143,10 @@ def load_session(folder: Path) -> tuple[Session, SlamConfig]:
 
 
 def require_same_front_end(folder: Path, before: SlamConfig, now: SlamConfig) -> list[str]:
-    """InputError when going on from `folder` would mix scans that were tracked by other settings than now.
+    """InputError if continuing from `folder` would mix scans tracked with different settings.
 
-    What only comes after - loops, refinement, grid - is made of all scans together, so its settings may
-    change: gives a line for each that does.
+    What comes later - loops, refinement, grid - is computed from all scans together, so its settings may
+    change: returns a line for each that does.
     """
     notes = []
     for key, was, is_now in _changes(before.model_dump(mode="json"), now.model_dump(mode="json")):
@@ -209,8 +208,8 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:
-    """ValueError unless every array is of its kind and shape and points at what is there: compiled code
-    that reads them looks no second time."""
+    """ValueError unless every array has its kind and shape and points at existing rows: the compiled code
+    that reads them does not check again."""
     keys = len(stored["track_keys"])
     sizes = {"b": beams, "k": keys, "m": keys - 1, "w": KNOTS, "2": 2, "3": 3}
     for name, (kind, shape) in LAYOUT.items():
@@ -224,7 +223,7 @@ def _check(stored: dict[str, Any], beams: int) -> None:
         )
         if array.ndim != len(shape) or array.shape != expected:
             raise ValueError(f"{name} is inconsistent with the rest")
-        # no rows are written as no numbers, whatever they would hold
+        # an array without rows is written without a type, whatever its rows would hold
         if array.dtype.kind != {"n": "f"}.get(kind, kind) and array.size:
             raise ValueError(f"{name} has the wrong type")
         largest = FARTHEST if "T_" in name else FARTHEST**2
@@ -266,6 +265,6 @@ def _rows(name: str, stored: dict[str, Any], kind: type) -> list[Any]:
         if field.name in ("kind", "verdict"):
             columns.append(json.loads(bytes(column)))
         else:
-            # single numbers as Python's own, so that what is written of them is the same text
+            # scalars as Python's own, so that they are written as the same text
             columns.append(column.tolist() if column.ndim == 1 else list(column))
     return [kind(*row) for row in zip(*columns, strict=True)]

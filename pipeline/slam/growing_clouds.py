@@ -21,7 +21,7 @@ class GrowingClouds:
         self._origin = np.zeros(2)
 
     def append(self, recording: Recording, usable_range: float, motion: SE2 | None) -> None:
-        """One more scan: a recording of it alone, and how the robot moved during its sweep."""
+        """Append a scan: a recording of it alone, and the motion during its sweep."""
         one, end = make_clouds(recording, usable_range, motion, self.noise), len(self._points)
         self._points.append(**{name: getattr(one, name) for name in PER_POINT})
         table = np.where(one.table < 0, -1, one.table + end).astype(np.int32)
@@ -29,7 +29,7 @@ class GrowingClouds:
         self._origin = one.origin
 
     def keep(self, stays: NDArray[np.bool_]) -> None:
-        """Only some of the scans (n,), numbered anew."""
+        """Keep only these scans (n,), numbered anew."""
         ends = self._scans["end"]
         counts = np.diff(ends, prepend=0)
         self._points.keep(np.repeat(stays, counts))
@@ -40,6 +40,6 @@ class GrowingClouds:
         self._scans["end"][:] = new_ends
 
     def view(self) -> Clouds:
-        """All scans there are, without copying their points."""
+        """All current scans, without copying their points."""
         points, starts = {name: self._points[name] for name in PER_POINT}, np.append(0, self._scans["end"])
         return Clouds(**points, table=self._scans["table"], starts=starts, origin=self._origin)

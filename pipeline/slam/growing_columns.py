@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 
 class Columns:
-    """Named arrays of one length that grow along their first axis; room doubles, so appending costs little.
-
-    `columns[name]` are the rows so far, not copied; the first rows appended say which columns there are.
-    """
+    """Named arrays of one length that grow along their first axis; capacity doubles, so appending is cheap.
+    `columns[name]` are the rows so far, not copied; the first rows appended define the columns."""
 
     def __init__(self) -> None:
         self._room: dict[str, NDArray[Any]] = {}
@@ -28,7 +26,7 @@ class Columns:
         return self._room[name][: self._count]
 
     def append(self, **rows: NDArray[Any]) -> None:
-        """More rows at the end, as many of each column; ValueError where columns are missing or new."""
+        """Append rows to every column; ValueError if columns are missing or new."""
         if self._room and rows.keys() != self._room.keys():
             raise ValueError(f"rows of {', '.join(rows)}; those before were of {', '.join(self._room)}")
         count = self._count + len(next(iter(rows.values())))
@@ -43,7 +41,7 @@ class Columns:
         self._count = count
 
     def keep(self, stays: NDArray[np.bool_]) -> None:
-        """Only some of the rows (n,); arrays given out before stay as they are."""
+        """Keep only these rows (n,); arrays handed out earlier stay as they are."""
         kept = {name: self[name][stays] for name in self._room}
         self._room, self._count = {}, 0
         if kept:

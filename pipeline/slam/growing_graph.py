@@ -13,7 +13,7 @@ from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import HELD, WEAK, noise_model
 
-# Poses that move farther than this are linearised anew [m, rad].
+# Poses that move farther than this are relinearised [m, rad].
 RELINEARISE = 0.01
 
 
@@ -32,7 +32,7 @@ class GrowingGraph:
         return self._count
 
     def update(self, T_map_keys: Array, constraints: Sequence[Constraint]) -> Array:
-        """Poses (n, 3) after more constraints; those given are the first guess of the keys that are new."""
+        """Poses (n, 3) after adding constraints; the given ones are the initial guess of new keys."""
         gtsam: Any = self._gtsam
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if self._count == 0:
@@ -45,7 +45,7 @@ class GrowingGraph:
         self._isam.update(graph, values)
         self._count = len(T_map_keys)
         found = self._isam.calculateEstimate()
-        # By rows, not by columns: every kernel that is given them would be compiled once more.
+        # Row-major, because every kernel that takes them would otherwise be compiled again.
         return np.ascontiguousarray(gtsam.utilities.extractPose2(found))
 
 
@@ -54,9 +54,9 @@ def without(
 ) -> list[Constraint]:
     """The constraints with only some of the keys (n,) left, which are numbered anew.
 
-    A chain over keys that go becomes one constraint (its covariances add up). A loop to such a key is
-    told of the last key before it that stays, by the motion between the two as it is known; of several
-    between the same two keys the surest remains.
+    Steps over removed keys become one constraint (their covariances add up). A loop to a removed key moves to
+    the last key before it that stays, by the current motion between the two; of several loops between the
+    same two keys the most certain one stays.
     """
     number = np.cumsum(stays) - 1
     before = np.maximum.accumulate(np.where(stays, np.arange(len(stays)), 0))
@@ -94,7 +94,7 @@ def without(
 
 
 def joined(a: Constraint, b: Constraint) -> Constraint:
-    """Two constraints one after another as one."""
+    """Two successive constraints as one."""
     floor = WEAK * np.eye(3)
     covariance = np.linalg.inv(_told_of(a.information + floor, np.asarray(SE2(b.T_i_j).inverse().xyt)))
     total = np.linalg.inv(covariance + np.linalg.inv(b.information + floor))
@@ -102,8 +102,8 @@ def joined(a: Constraint, b: Constraint) -> Constraint:
 
 
 def _told_of(information: Array, T_other_frame: Array) -> Array:
-    """Information (3, 3) of a pose in its own frame, told in that of a frame fixed to it, which sees it at
-    `T_other_frame` (3,)."""
+    """Information (3, 3) of a pose, given in its own frame, in that of another frame rigidly attached to it,
+    in which it is `T_other_frame` (3,)."""
     x, y, yaw = T_other_frame
     c, s = np.cos(yaw), np.sin(yaw)
     adjoint = np.array([[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]])

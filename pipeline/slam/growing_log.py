@@ -13,9 +13,9 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, ImuLog, LidarSpec, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.growing_columns import Columns
 
-# Odometry samples that reach back past the start of a sweep.
+# Odometry samples kept from before the start of a sweep.
 RECENT = 64
-# Of a log that is heard from its middle on, odometry of so long before is heard, too [s].
+# If mapping starts in the middle of a log, this much odometry from before is used, too [s].
 BEFORE_S = 1.0
 
 
@@ -38,7 +38,7 @@ def heard(recording: Recording, first: int = 0) -> Iterator[tuple[Scan, SE2 | Tr
 
 
 class GrowingLog:
-    """Scans with the odometry and the IMU about them, and whether they are to be drawn."""
+    """Scans with the odometry and the IMU around them, and whether they are to be drawn."""
 
     def __init__(self, lidar: LidarSpec, T_base_lidar: SE2) -> None:
         self.lidar, self.T_base_lidar = lidar, T_base_lidar
@@ -62,12 +62,12 @@ class GrowingLog:
 
     @property
     def numbers(self) -> NDArray[np.int64]:
-        """Which of all scans that were appended these are."""
+        """The numbers of the remaining scans among all that were appended."""
         return self._scans["number"]
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
-        """Which scans are good to map with; may be changed in place."""
+        """Which scans may be mapped; may be changed in place."""
         return self._scans["trusted"]
 
     def append(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu]) -> None:
@@ -94,7 +94,7 @@ class GrowingLog:
             )
 
     def keep(self, stays: NDArray[np.bool_]) -> None:
-        """Only some of the scans (n,), and of the rest what the next one needs."""
+        """Keep only these scans (n,), and of the rest what the next scan needs."""
         self.whole = False
         self._scans.keep(stays)
         self._odometry.keep(np.arange(len(self._odometry)) >= len(self._odometry) - RECENT)

@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
 from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder, step_lengths
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
-# So many keys at most wait for their loops; each takes five scans at most, by which the graph then lags.
+# At most this many keys wait for their loops; each takes up to five scans, by which the graph lags behind.
 WAITING = 8
 
 
@@ -35,8 +35,8 @@ class GrowingLoops(LoopFinder):
         self._found: Loop | None = None
 
     def add_key(self, scans: KeyScans, T_last_key: Array, steps: list[Constraint]) -> None:
-        """One more key, seen from the last one (3,), and what joins the two, as if they were keys 0 and 1;
-        `scans` are those of all keys."""
+        """Append a key, seen from the last one (3,), and the constraint between the two, as if they were keys
+        0 and 1; `scans` are those of all keys."""
         n = len(self.poses)
         steps = [replace(c, i=n - 1, j=n) for c in steps]
         self.scans, self.part = scans, np.zeros(len(scans.keys), dtype=np.int64)
@@ -49,8 +49,8 @@ class GrowingLoops(LoopFinder):
             self._waiting.append(n)
 
     def work(self) -> bool:
-        """Do one of these: look where the key that waits longest may have been before, align it with one such
-        place, or close the loop found. Whether the poses moved."""
+        """Do one of these: search the places where the first waiting key may have been before, align it with
+        one of them, or close the loop found. Returns whether the poses moved."""
         if self._found is not None:
             self._close(self._found)
             return True
@@ -72,7 +72,7 @@ class GrowingLoops(LoopFinder):
         return False
 
     def needed(self) -> NDArray[np.bool_]:
-        """Which keys (n,) may not go: the first, and those that wait for their loops."""
+        """Which keys (n,) must stay: the first, and those that wait for their loops."""
         needed = np.zeros(len(self.poses), dtype=bool)
         needed[[0, *self._waiting]] = True
         if self._found is not None:
@@ -91,7 +91,7 @@ class GrowingLoops(LoopFinder):
         self._found = None
 
     def keep(self, stays: NDArray[np.bool_], scans: KeyScans) -> None:
-        """Only some of the keys (n,), those `needed` among them; what is known of the others is told of their
+        """Keep only these keys (n,), among them those `needed`; constraints on the others move to their
         neighbours. `scans` are those of the keys that stay."""
         number = np.cumsum(stays) - 1
         self.steps = without(self.steps, stays, self.poses)

@@ -19,24 +19,25 @@ from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.calibration import GROSS, ODOMETRY_SHARE
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, SIGMAS
 
-# A gyro slower than this, or with longer holes, is not followed through them [s].
+# A gyro with a longer period or longer gaps than this is not used across them [s].
 HOLE_S = 0.1
-# Gyro and odometry are compared over about a second each, where the gyro turns by so much [rad]; fewer of
-# these than so many tell nothing, and half of them must agree within GROSS.
+# Gyro and odometry are compared over about a second each, where the gyro turns by at least this [rad]; fewer
+# of these than this are inconclusive, and half of them must agree within GROSS.
 WINDOW_S, TURNING_RAD, FEWEST = 1.0, 0.1, 8
-# A gyro's bias [rad/s] and the noise of a turn between it and the wheels [rad], as standard deviations.
-# Wheels differ from it by ODOMETRY_SHARE besides, of the turn and per metre.
+# Standard deviations of a gyro's bias [rad/s] and of the difference between a turn by gyro and by wheels
+# [rad], to which ODOMETRY_SHARE of the turn and per metre is added.
 BIAS, NOISE_RAD = 0.01, 0.01
 USUAL = np.array([BIAS, ODOMETRY_SHARE, ODOMETRY_SHARE])
-# A turn slips when it is so many standard deviations (by the median) off the gyro's, and by its share more.
+# The wheels slip in a turn that is this many standard deviations (by the median) off the gyro's, and by this
+# share of it.
 SLIP_SIGMAS = 6.0
-# Of a scan period the stamps of gyro and wheels may be apart.
+# Share of a scan period by which the stamps of gyro and wheels may differ.
 LATE_SHARE = 0.25
 
 
 def with_gyro(recording: Recording) -> Recording:
-    """The recording with the turns its wheels slipped in taken from its gyro; as it is when there is no
-    gyro, no odometry, no slip, or when the two do not turn together."""
+    """The recording with the turns in which its wheels slipped replaced by the gyro's; unchanged if there is
+    no gyro, no odometry or no slip, or if the two do not turn together."""
     if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
         return recording
     gyro, stamps = _Gyro(recording.imu), recording.stamps_ns
@@ -47,7 +48,7 @@ def with_gyro(recording: Recording) -> Recording:
     expected, known = _expected(gyro, steps, stamps, *trusted)
     left = np.abs(wrap(steps[:, 2] - expected))
     least = max(SLIP_SIGMAS * PER_MEDIAN * float(np.median(left[known])), NOISE_RAD)
-    # stamps of gyro and wheels are never quite the same: where turning starts or ends they differ
+    # stamps of gyro and wheels are never quite the same, so they differ where turning starts or ends
     change = np.abs(np.diff(expected, prepend=expected[:1], append=expected[-1:]))
     late = LATE_SHARE * np.maximum(change[:-1], change[1:])
     slips = known & (left > least + ODOMETRY_SHARE * np.abs(expected) + late)
@@ -91,7 +92,7 @@ def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[f
 def _expected(
     gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64], sign: float, found: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """The turns (n,) that wheels without slip would tell by the gyro, and where it knows."""
+    """The turns (n,) that wheels without slip would report, by the gyro, and where the gyro is available."""
     turns, known = gyro.turns(stamps_ns)
     return sign * turns - _parts(sign * turns, steps, seconds(np.diff(stamps_ns))) @ found, known
 
@@ -110,7 +111,7 @@ class _Gyro:
         self._holes = np.concatenate([[0], np.cumsum(waits > HOLE_S)])[: len(stamps)]
 
     def turns(self, stamps_ns: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-        """Turn between successive stamps (n - 1,), and whether the gyro was there all the while."""
+        """Turn between successive stamps (n - 1,), and whether the gyro was available throughout."""
         n = len(stamps_ns)
         if len(self._stamps) < 2:
             return np.zeros(n - 1), np.zeros(n - 1, dtype=bool)
@@ -125,7 +126,7 @@ class _Gyro:
 
 
 def _parts(turns: Array, steps: Array, waits: Array) -> Array:
-    # the gyro's own turns: those of wheels that slip would pull on the answer
+    # the gyro's turns, because those of slipping wheels would bias the fit
     return np.column_stack([waits, turns, np.hypot(steps[:, 0], steps[:, 1])])
 
 
@@ -142,7 +143,7 @@ def _apart(turns: Array, steps: Array, waits: Array) -> Array:
 
 
 def _agrees(turns: Array, odometry: Array, waits: Array) -> bool:
-    """Whether the odometry turns with the gyro, for most of the gyro's turns: wheels that slip turn alone."""
+    """Whether the odometry turns with the gyro in most of the gyro's turns: slipping wheels turn alone."""
     together = max(1, round(WINDOW_S / float(np.median(waits)))) if len(waits) else 1
     starts = np.arange(0, len(turns), together)
     if len(starts) < FEWEST:

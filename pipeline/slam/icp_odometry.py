@@ -38,29 +38,29 @@ from turtlebag.pipeline.slam.tracker import Tracker
 STANDSTILL = HYPOTHESES.index("standstill")
 # Gauss-Newton steps from one start.
 ITERATIONS = 10
-# Without odometry the last motion is expected to go on, with this share of an odometry step's information.
+# Without odometry a constant velocity is predicted, with this share of an odometry step's information.
 STEADY_SHARE = 0.05
-# For so many scans after a gap the motion since is open. A scan is surely where it fits if so much of what
-# could be seen of it lies on what was seen before (at wrong places of 26 drives with gaps at most 0.88).
+# For this many scans after a gap the motion across it is uncertain. The pose of a scan is certain if this
+# share of what it could see again fits (at wrong places of 26 drives with gaps at most 0.88).
 DOUBTED_SCANS, SURELY_THERE = 12, 0.92
-# A scan fits when its cost is no more than this above what is usual; that begins at so much, and follows each
-# scan's by this share.
+# A scan fits if its cost exceeds the usual cost by no more than this; the usual cost starts at this value and
+# follows that of each scan with this weight.
 FITS, USUAL_COST, FOLLOWS = 0.25, 0.3, 0.02
-# Where the track may be lost the scan is searched for so far about [m, rad], in turns of so much [rad].
+# Where the track may be lost, the scan is searched within this window [m, rad], in turns of this step [rad].
 LOST, LOST_STEP_RAD = 1.0, 0.035
-# What the odometry's normalised innovation squared (NIS, under a Cauchy kernel) weighs against the misfit of
-# points, of all of which it counts like so many.
+# Weight of the odometry's normalised innovation squared (NIS, under a Cauchy kernel) against the misfit of
+# points, as if it were this many of all points.
 NIS_WEIGHT = 0.01
 
 
 Found = tuple[Alignment, int, float]
-"""An alignment, the start that it is from, and its cost."""
+"""An alignment, its start, and its cost."""
 
 
 @dataclass
 class Doubt:
-    """What went before a gap: the pose (3,) of the last scan, whether the wheels were believed, and how many
-    scans ago that was."""
+    """The state before a gap: the pose (3,) of the last scan, whether the wheels were trusted, and how many
+    scans ago it was."""
 
     T_map_base: Array
     wheels_believed: bool
@@ -68,7 +68,7 @@ class Doubt:
 
 
 class Lines:
-    """Point-to-line alignment; knows the wheels' record and what went before a gap."""
+    """Point-to-line alignment; keeps the odometry's record and the state before a gap."""
 
     def __init__(self, tracker: Tracker) -> None:
         self.tracker = tracker
@@ -97,29 +97,28 @@ class Lines:
         return Placed(pose, found.information, found.overlap, found.rmse, source, sure, revised, found.known)
 
     def _on_surfaces(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
-        """From the odometry, if there is any and it is believed, and from a steady motion."""
+        """The starts: the odometry, if there is any and it is trusted, and constant velocity."""
         tracker = self.tracker
         starts, share = [(1, compose(tracker.pose, tracker.velocity))], STEADY_SHARE
         expected = tracker.velocity if odometry_step is None else odometry_step
         if odometry_step is not None:
             starts.append((0, compose(tracker.pose, odometry_step)))
-            if self.wheels.believed:
+            if self.wheels.trusted:
                 starts, share = starts[::-1], 1.0
         return self._by_lines(scan, starts, share * tracker.config.odometry.information(expected))
 
     def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[Alignment, bool, range]:
-        """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.
+        """Begin a doubt at a gap, and end it when odometry and scans agree on the motion since.
 
-        When they do not in time, the odometry is right where the scan fits nothing, and, if it was believed
-        before the gap, where the scan does not surely lie: by chance it fits somewhere near. Returns where
-        the scan lies, whether that may be built on, and the scans since the gap once the doubt is over:
-        hypotheses took turns for them, and an odometry that is right, or believed, tells where they lie seen
-        from here.
+        If they do not agree in time, the odometry is taken to be right if the scan fits nothing, or if it was
+        trusted before the gap and the scan's pose is not certain: a scan may fit somewhere nearby by chance.
+        Returns the scan's pose, whether it is certain, and, once the doubt is over, the scans since the gap:
+        hypotheses alternated for them, and trusted odometry gives their poses relative to this one.
         """
         tracker, settled = self.tracker, range(0)
         if tracker.odometry is None:
             return found, True, settled
-        since = self.doubt or Doubt(tracker.pose, self.wheels.believed)
+        since = self.doubt or Doubt(tracker.pose, self.wheels.trusted)
         driven = tracker.odometry_since(scan - since.ago)
         agreed = confirms(driven, between(since.T_map_base, found.T_map_base.xyt))
         fits = found.cost <= self._usual_cost + FITS
@@ -138,7 +137,7 @@ class Lines:
     def _by_lines(
         self, scan: int, starts: list[tuple[int, Array]], information: Array
     ) -> tuple[Alignment, int]:
-        """The scan on the surfaces of the last key scans; where it fits none, the first start."""
+        """The scan aligned with the last key scans; the first start if it fits none."""
         guess = starts[0][1]
         tracker, config = self.tracker, self.tracker.config
         best = self._best(scan, starts, guess, information)
@@ -148,7 +147,7 @@ class Lines:
             other = self._best(scan, [(0, carried)], carried, config.odometry.information(step))
             best = other if _beats(other, best) else best
         if any(math.dist(start[:2], tracker.pose[:2]) > ROUGH.gate for _, start in starts):
-            # wheels may spin before an obstacle, and partners are not looked for so far
+            # wheels may spin in front of an obstacle, farther than partners are searched
             still = self._best(scan, [(STANDSTILL, tracker.pose)], guess, information)
             if still is not None and still[0].agreement >= SURELY_THERE and _beats(still, best):
                 best = still
@@ -173,7 +172,7 @@ class Lines:
         keys, poses = tracker.last_keys(NEIGHBOURS)
         limits = ROUGH._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
         for source, start in starts:
-            # starts that a good match would not tell apart end at the same pose
+            # starts too close for a good match to distinguish end at the same pose
             if any(np.abs(between(other, start)).max() < FINE.sigma for other in tried):
                 continue
             tried.append(start)
@@ -182,8 +181,9 @@ class Lines:
             )
             e = between(prior, result.T_map_base.xyt)
             nis = np.log1p(e @ information @ e / CAUCHY**2)
-            # What the key scans could not see is half a miss: a place where all is seen again is likelier
-            # than one that nobody saw, so odometry that jumps does not win by jumping out of sight.
+            # Points in space that the key scans did not see are half a miss: a pose where everything is seen
+            # again is more probable than one in unseen space, or odometry that jumps would win by leaving the
+            # known area.
             unseen = 1.0 - result.known
             fit = result.known * result.cost + unseen * (self._usual_cost + 0.5 * FITS)
             cost = fit + NIS_WEIGHT * float(nis)
@@ -192,7 +192,7 @@ class Lines:
         return best
 
     def _recover(self, scan: int, centers: list[Array]) -> Array:
-        """Exhaustive search in a wide window about each centre: the track may be lost."""
+        """Exhaustive search in a wide window around each centre, because the track may be lost."""
         points = self.tracker.clouds.of(scan)[::4]
         found = [
             best_pose(self.tracker.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
@@ -206,5 +206,5 @@ def _beats(one: Found | None, best: Found | None, by: float = 0.0) -> bool:
 
 
 def _fits_nothing(pose: Array) -> Alignment:
-    """A scan of which nothing but a pose (3,) is known."""
+    """A scan of which only the pose (3,) is known."""
     return Alignment(SE2(pose), np.zeros((3, 3)), 0.0, 0.0, 0.0)

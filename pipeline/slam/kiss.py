@@ -24,10 +24,11 @@ from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker
 
 # Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.
 VOXEL_M = 0.2
-# Share of a scan that must fit for its answer to be believed; so much better [share] must that of
-# another start be.
+# Share of a scan that must fit for its pose to be accepted; the pose from another start must be better by
+# this share.
 MIN_FIT, SURELY_BETTER = 0.4, 0.05
-# Standard deviation of a point on the voxel map, in voxels: it is matched with whatever point was kept there.
+# Standard deviation of a point of the voxel map, in voxels: a point is matched with whichever one was kept
+# there.
 VOXELS = 0.6
 SOURCE = HYPOTHESES.index("kiss-icp")
 
@@ -41,7 +42,7 @@ class KissIcp:
         self._scan = -1
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
-        """As in `FrontEnd`; where the answer does not fit the key scans the expected pose stands."""
+        """As in `FrontEnd`; if the result does not fit the key scans, the predicted pose is returned."""
         del wait_s
         tracker = self._tracker
         if self._kiss is None or self._scan != tracker.scan - 1:
@@ -59,7 +60,8 @@ class KissIcp:
         return Placed(found[best], self._seen(points, found[best]), fits[best], source=SOURCE)
 
     def _seen(self, points: Array, pose: Array) -> Array:
-        """What a scan at a pose saw of it: on walls by their lines, for points know no blind direction."""
+        """The information of a scan at a pose: from lines on walls, because point matches have no blind
+        direction."""
         tracker = self._tracker
         if tracker.clouds.placed_by(tracker.scan) == "points":
             return point_information(points) / (VOXELS * VOXEL_M) ** 2

@@ -10,7 +10,7 @@ from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed
 
-# An alignment that ends farther from what the search found [m], [rad] went to another place.
+# An alignment that ends farther than this from the search result [m], [rad] has moved to another place.
 PEAK = 0.15
 
 
@@ -22,8 +22,8 @@ def loop_verdict(
     stretches: tuple[Stretch, Stretch],
     min_overlap: float,
 ) -> str:
-    """ "accepted", or why not: a verdict on the second of two stretches aligned with the first, from the pose
-    (3,) at which it was searched."""
+    """ "accepted", or the reason against it, for a stretch aligned with another one, from the pose (3,) at
+    which the search placed it."""
     query, place = stretches
     T_j_i = found.T_map_base.xyt
     if found.overlap < LEAST_OVERLAP or found.agreement < min_overlap:

@@ -23,8 +23,8 @@ Progress = Callable[[Iterable[int], str, int], Iterable[int]]
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """Poses of the key scans with loops closed, the steps (those over bridged breaks without a say) and
-    loops that hold them, the records of all candidates, and the breaks that no loop bridges (keys - 1,)."""
+    """Poses of the key scans with loops closed, the steps (weightless over bridged breaks) and loops that
+    constrain them, the records of all candidates, and the breaks that no loop bridges (keys - 1,)."""
 
     T_map_keys: SE2
     steps: list[Constraint]
@@ -50,9 +50,9 @@ def close_graph(
 ) -> Closed:
     """Close all loops of a track.
 
-    Distance means something within unbroken parts of the log only. Places recognised beyond its reach
-    join parts and tell the drift; keys without a loop are then looked for by distance again, from there.
-    What a person added comes before all that; what was rejected is not tried.
+    Distance means something only within unbroken parts of the log. Places recognised beyond its reach join
+    these parts and reveal the drift; keys without a loop are then searched by distance again, from there.
+    Loops that the user added come first; those that the user rejected are not tried.
     """
     added, T_map_keys = _added(scans, T_map_keys, breaks, steps, by_distance)
     known = [by_distance.config.constraint(loop) for loop in added if loop.accepted]
@@ -79,7 +79,8 @@ def close_graph(
 def _added(
     scans: KeyScans, T_map_keys: SE2, breaks: TrackBreaks, steps: list[Constraint], closing: LoopClosing
 ) -> tuple[list[Loop], SE2]:
-    """The loops that a person added, aligned and judged like all, and the poses that those believed give."""
+    """The loops that the user added, aligned and judged like all others, and the poses with the accepted
+    ones."""
     finder = LoopFinder(scans, T_map_keys, steps, closing, breaks.segments())
     added = [finder.match_from(i, j, T_j_i, HAND_M, HAND_RAD) for i, j, T_j_i in closing.edits.added]
     loops = [closing.config.constraint(loop) for loop in added if loop.accepted]
@@ -90,7 +91,7 @@ def _added(
 
 
 def _spanned(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:
-    """Steps with an accepted loop by distance from one side of them to the other, (keys - 1,)."""
+    """Steps that an accepted loop by distance spans, (keys - 1,)."""
     spans = np.zeros(n_keys, dtype=np.int64)
     for loop in record:
         if loop.accepted:

@@ -18,9 +18,9 @@ from turtlebag.datasets.yaml_files import load_model
 ScanNumber = Annotated[int, Field(strict=True, ge=0)]
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
-# The scan that a person laid on a place is looked for so far about there [m], [rad].
+# A scan that the user placed is searched within this window [m], [rad].
 HAND_M, HAND_RAD = 0.5, 0.35
-# What is said of a pair of key scans holds of so many keys before and after each, too.
+# An edit of a pair of key scans also applies to this many keys before and after each.
 BESIDE = 6
 
 
@@ -45,7 +45,7 @@ class Edits(Settings):
     add: tuple[AddedLoop, ...] = ()
 
     def require_scans(self, n_scans: int, source: str) -> None:
-        """InputError when a scan is named that the log does not have."""
+        """InputError if it names a scan that the log does not have."""
         for kind in ("reject", "add"):
             for number, loop in enumerate(getattr(self, kind), start=1):
                 if max(loop.scan, loop.place) >= n_scans:
@@ -57,18 +57,17 @@ class Edits(Settings):
 
 @dataclass(frozen=True, eq=False)
 class KeyEdits:
-    """The same of key scans by their numbers: pairs (n, 2) that are no loops, the newer one first, and loops
-    (i, j, T_j_i) to be tried."""
+    """The edits by key number: pairs (n, 2) that are no loops, the newer one first, and loops (i, j, T_j_i)
+    to be tried."""
 
     rejected: NDArray[np.int64]
     added: tuple[tuple[int, int, Array], ...]
 
     @staticmethod
     def of(edits: Edits, keys: NDArray[np.int64]) -> KeyEdits:
-        """What is said of scans, of the last key scan up to each; `keys` (k,) are the scans of the key scans.
-
-        InputError for scans so near each other in the log that there is nothing to join or to part.
-        """
+        """The edits by key number: each scan is replaced by the last key scan up to it; `keys` (k,) are the
+        scans of the key scans. InputError if two scans are so close in the log that there is nothing to join
+        or separate."""
         pairs, added = [], []
         for loop in (*edits.reject, *edits.add):
             i, j = (max(int(np.searchsorted(keys, k, side="right")) - 1, 0) for k in (loop.scan, loop.place))
@@ -86,7 +85,7 @@ class KeyEdits:
         return KeyEdits(np.array(pairs, dtype=np.int64).reshape(-1, 2), tuple(added))
 
     def rejects(self, i: int | NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether key(s) i are not to be joined with keys j (n,)."""
+        """Whether the user rejected loops between key(s) i and keys j (n,)."""
         newer, older = np.maximum(i, j)[:, None], np.minimum(i, j)[:, None]
         near = np.maximum(np.abs(newer - self.rejected[:, 0]), np.abs(older - self.rejected[:, 1]))
         return np.asarray((near <= BESIDE).any(axis=1))

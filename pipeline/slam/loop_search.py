@@ -36,7 +36,7 @@ from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import GTSAM
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
-"""What `loops.match` may be; see `turtlebag.pipeline.slam.loop_match`."""
+"""The values of `loops.match`; see `turtlebag.pipeline.slam.loop_match`."""
 
 
 class LoopConfig(Settings):
@@ -84,7 +84,7 @@ class LoopClosing:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One candidate and what became of it: key indices, scores, verdict; `T_j_i` is (3,), in space (4, 4)."""
+    """A candidate and its outcome: key indices, scores, verdict; `T_j_i` is (3,), in space (4, 4)."""
 
     i: int
     j: int
@@ -111,11 +111,11 @@ def close_loops(
     part: NDArray[np.int64],
     known: Sequence[Constraint] = (),
 ) -> LoopFinder:
-    """Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
+    """Search along the log; `batches` yields 0, 1, ... for each BATCH keys (the position of a progress bar).
 
-    Loops are looked for within a part of the log only (`part`, (keys,)): where the track is
-    broken, distance says nothing. `known` are loops found otherwise. The finder returned holds the
-    poses with loops closed, the loop constraints, and the record of all candidates.
+    Loops are searched within parts of the log only (`part`, (keys,)): across a break of the track, distance
+    says nothing. `known` are loops found otherwise. The returned finder holds the poses with loops closed,
+    the loop constraints, and the record of all candidates.
     """
     finder = LoopFinder(scans, T_map_keys, steps, closing, part, known)
     for batch in batches:
@@ -123,27 +123,25 @@ def close_loops(
     return finder
 
 
-# The graph is optimised after so many keys, if they closed loops: with half as many, twice as many or all at
+# The graph is optimised after this many keys if they closed loops. With half as many, twice as many or all at
 # once the maps are the same; fewer cost optimisations, more cost wider searches.
 BATCH = 48
-# A key is looked for at so many of the places within its gate, the nearest first.
+# A key is searched at this many of the places within its gate, nearest first.
 PLACES = 3
-# Cells and turns of the coarse search.
+# Resolutions of the coarse search [m], [rad].
 CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
-# From key to key the robot drives so much more than they are apart: it may have turned on the spot.
+# Distance driven between keys in addition to their distance: the robot may have turned on the spot.
 TURNING_M = 0.05
 
 
 def step_lengths(poses: Array) -> Array:
-    """How far the robot drove from each pose (n, 3) to the next [m], (n - 1,)."""
+    """The distance driven from each pose (n, 3) to the next [m], (n - 1,)."""
     return np.asarray(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) + TURNING_M)
 
 
 class LoopSearch(ABC):
-    """The growing graph while loops are searched along the log, of the plane or of space.
-
-    `poses` (n, 3) are those of the keys, of space as seen from above: drift carries a robot along the floor.
-    """
+    """The growing graph during the search along the log, in the plane or in space. `poses` (n, 3) are those
+    of the keys, in space seen from above: drift moves a robot along the floor."""
 
     def __init__(
         self,
@@ -163,11 +161,11 @@ class LoopSearch(ABC):
 
     @abstractmethod
     def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:
-        """Align key i with the place around key j, within [m] and [rad] of where it is, and judge it."""
+        """Align key i with the place around key j, within [m] and [rad] of its current pose, and judge it."""
 
     @abstractmethod
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
-        """Move the first n keys to where a graph has them; the keys still to come follow the last rigidly."""
+        """Move the first n keys to their poses in the graph; the later keys follow the last one rigidly."""
 
     def process(self, batch: range) -> None:
         """Search loops for the keys of a batch, then re-optimise when any was found."""
@@ -187,15 +185,15 @@ class LoopSearch(ABC):
         self._optimise(n, [c for c in [*self.steps, *self.loops] if max(c.i, c.j) < n])
 
     def _judge_drift(self) -> None:
-        """How far keys may be from where they are taken to be, by the graph as it is."""
+        """The uncertainty of the keys' poses by the current graph."""
         self.ways = drift_of(self.poses, self.steps).ways(self.loops)
 
     def _query(self, i: int) -> Loop | None:
-        """The best older place for key i, or None when none is near enough."""
+        """The best older place for key i, or None if none is near enough."""
         return self._best_of(i, self.candidates(i))
 
     def _best_of(self, i: int, places: Sequence[tuple[int, float, float]]) -> Loop | None:
-        """Key i at the first of some places that is accepted, else where it fits best."""
+        """Key i at the first place where it is accepted, otherwise where it fits best."""
         tried: list[Loop] = []
         for j, gate, turn_gate in places:
             tried.append(self._match(i, j, gate, turn_gate))
@@ -245,7 +243,7 @@ class LoopFinder(LoopSearch):
         self.matcher, self.back_end = closing.config.matcher(), closing.back_end
 
     def _query(self, i: int) -> Loop | None:
-        """None, too, for a key that has its loop, or whose nearest place is held well enough already."""
+        """None also for a key that has its loop already, or whose nearest place is certain enough."""
         places = [] if i in self._closed else self.candidates(i)
         held = bool(places) and places[0][1] <= self.config.held_m + CELL_M
         return None if held else self._best_of(i, places)
@@ -283,6 +281,6 @@ class LoopFinder(LoopSearch):
         )
 
     def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:
-        """Some keys as seen from one."""
+        """Some keys seen from one of them."""
         T = (SE2(self.poses[about]).inverse() @ SE2(self.poses[members])).xyt
         return Stretch(int(self.scans.keys[about]), self.scans.keys[members], T)

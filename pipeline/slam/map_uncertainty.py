@@ -19,41 +19,41 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import mahalanobis
 from turtlebag.pipeline.slam.track import Track
 
-# So many keys are asked, evenly spaced over the log.
+# This many keys are evaluated, evenly spaced over the log.
 ASKED = 50
 Shared = tuple[NDArray[np.int64], Array]
-"""Constraints (k,), and what one standard deviation of errors that they share moves their ends by, in these
+"""Constraints (k,), and how far one standard deviation of their shared errors moves their ends, in these
 ends' frames (k, 3, errors)."""
 
 
 def position_sigmas(
     T_map_keys: SE2, constraints: Sequence[Constraint], shared: Iterable[Shared] = ()
 ) -> tuple[NDArray[np.int64], Array]:
-    """Up to ASKED keys (m,), and the standard deviation [m] of each along the direction it is known least in.
+    """Up to ASKED keys (m,), and the standard deviation [m] of each along its least certain direction.
 
-    What moves or turns the whole map is left out, as after a rigid fit. A constraint weighs as much as its
-    kernel leaves it at these poses; constraints (k,) tie all keys to the first. `shared` are errors that many
-    of them have in common, see `shared_errors`.
+    A motion of the whole map is excluded, as after a rigid fit. A constraint has the weight that its kernel
+    leaves it at these poses; constraints (k,) connect all keys to the first. `shared` are errors that many of
+    them have in common, see `shared_errors`.
     """
     n = len(T_map_keys)
-    # about the keys' own middle: an odometry in a country's metres would leave no digits
+    # about the centre of the keys: with coordinates of a national grid no digits would be left
     T_map_keys = SE2(T_map_keys.xyt - [*T_map_keys.xy.mean(axis=0), 0.0])
     asked = np.unique(np.linspace(0, n - 1, min(n, ASKED)).astype(np.int64))
     if n < 2:
         return asked, np.zeros(n)
     rows = (3 * asked[:, None] + np.arange(3)).ravel()
     i, j, weights = _springs(T_map_keys, constraints)
-    # the first key is held: its rows and columns are left out
+    # the first key is fixed: its rows and columns are left out
     symmetric = {"SymmetricMode": True}
     held = _laplacian(n, i, j, weights)[3:, 3:]
     factors = scipy.sparse.linalg.splu(held, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
 
     def answers(pushes: Iterable[Array]) -> Array:
-        # one by one: SuperLU solves many at once seven times as slowly
+        # one by one, because SuperLU solves many at once seven times as slowly
         solved = [np.concatenate([np.zeros(3), factors.solve(push[3:])])[rows] for push in pushes]
         return np.column_stack(solved)
 
-    # how the keys move with such motions, less what one motion of all explains
+    # the motion of the keys less the rigid motion that explains most of it
     lever = np.zeros((2 * len(asked), 3))
     lever[0::2, 0] = lever[1::2, 1] = 1.0
     lever[0::2, 2], lever[1::2, 2] = -T_map_keys.y[asked], T_map_keys.x[asked]
@@ -73,28 +73,28 @@ def position_sigmas(
     return asked, np.sqrt(np.maximum(largest, 0.0))
 
 
-def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array) -> Iterator[Shared]:
+def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved: Array) -> Iterator[Shared]:
     """Errors that are the same in many constraints.
 
-    The first three are what the calibration leaves open of the odometry's shares. Then, for each stretch that
-    nobody saw (`unseen` [m] of each scan's step (n,)), the way along both axes of the robot: it was taken for
-    steady, and is as wrong as it would be elsewhere in this log for so many scans.
+    The first three are the remaining errors of the odometry's calibration. Then, for each unobserved stretch
+    (`unobserved` [m] of each scan's step (n,)), the distance along both axes of the robot: a constant
+    velocity was assumed, and is as wrong as it would be elsewhere in this log over as many scans.
     """
     odometry = [k for k, c in enumerate(constraints) if c.kind == "odometry"]
     if odometry:
         effects = track.calibration.effects(np.array([constraints[k].T_i_j for k in odometry]))
         yield np.array(odometry), effects @ np.linalg.cholesky(track.calibration.covariance)
-    told = {c.i: k for k, c in enumerate(constraints) if c.kind in ("steady", "odometry")}
-    way = np.diff(np.cumsum(unseen)[track.keys])
+    motions = {c.i: k for k, c in enumerate(constraints) if c.kind in ("steady", "odometry")}
+    way = np.diff(np.cumsum(unobserved)[track.keys])
     stretches = np.flatnonzero(np.diff(np.concatenate([[0.0], way > 0.0, [0.0]])))
     for begin, end in stretches.reshape(-1, 2).tolist():
-        scans = unseen[track.keys[begin] + 1 : track.keys[end] + 1]
-        # where the log ends, it may have ended anywhere on the way
+        scans = unobserved[track.keys[begin] + 1 : track.keys[end] + 1]
+        # a log that ends unobserved may have ended anywhere along the way
         last = end == len(way)
-        off = 1.0 if last else _unsteadiness(track, unseen, int(np.count_nonzero(scans)))
-        keys = [i for i in range(begin, end) if i in told]
+        off = 1.0 if last else _unsteadiness(track, unobserved, int(np.count_nonzero(scans)))
+        keys = [i for i in range(begin, end) if i in motions]
         if keys:
-            of = np.array([told[i] for i in keys])
+            of = np.array([motions[i] for i in keys])
             yaw = np.array([constraints[k].T_i_j[2] for k in of.tolist()])
             error = np.zeros((len(keys), 3, 2))
             error[:, 0, 0] = error[:, 1, 1] = off * way[keys] * np.cos(yaw)
@@ -103,33 +103,33 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array
             yield of, error
 
 
-def _unsteadiness(track: Track, unseen: Array, scans: int) -> float:
-    """Which share of the way over so many scans a steady motion is off by, where all is seen; 1 where that is
-    hardly ever."""
+def _unsteadiness(track: Track, unobserved: Array, scans: int) -> float:
+    """The relative error of a constant velocity over this many scans, where all are observed; 1 if there are
+    hardly any such stretches."""
     T = track.T_track_base
     step = np.concatenate([[0.0], way_and_turn(T.steps())[:, 0]])
-    way, dark = np.cumsum(step), np.cumsum(unseen > 0.0)
+    way, blind = np.cumsum(step), np.cumsum(unobserved > 0.0)
     start = np.arange(1, len(step) - scans)
-    start = start[dark[start + scans] == dark[start - 1]]
-    told = way[start + scans] - way[start]
-    if len(start) < scans or not told.any():
+    start = start[blind[start + scans] == blind[start - 1]]
+    driven = way[start + scans] - way[start]
+    if len(start) < scans or not driven.any():
         return 1.0
-    error = told - scans * step[start]
-    return min(1.0, float(np.sqrt(np.mean(error**2) / np.mean(told**2))))
+    error = driven - scans * step[start]
+    return min(1.0, float(np.sqrt(np.mean(error**2) / np.mean(driven**2))))
 
 
 def _springs(
     T_map_keys: SE2, constraints: Sequence[Constraint]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """The keys (k,) that each constraint ties to others (k,), and its information (k, 3, 3) about motions of
-    the plane."""
+    """The keys (k,) that each constraint connects to others (k,), and its information (k, 3, 3) about motions
+    of the plane."""
     i, j = (np.array([getattr(c, end) for c in constraints], dtype=np.int64) for end in "ij")
     cauchy = np.array([c.cauchy for c in constraints])
     # Cauchy's weight, 1 where there is no kernel
     kept = cauchy**2 / np.where(cauchy > 0.0, cauchy**2 + mahalanobis(T_map_keys, constraints), 1.0)
     kept[cauchy == 0.0] = 1.0
-    told = covariances(T_map_keys.xyt, j, [c.information for c in constraints])
-    return i, j, kept[:, None, None] * np.linalg.inv(told)
+    errors = covariances(T_map_keys.xyt, j, [c.information for c in constraints])
+    return i, j, kept[:, None, None] * np.linalg.inv(errors)
 
 
 def _laplacian(n: int, i: NDArray[np.int64], j: NDArray[np.int64], weights: Array) -> scipy.sparse.csc_matrix:

@@ -34,20 +34,20 @@ from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker
 
-# After every so many scans those that are no key scans are dropped, but for the last ones, which the front
-# end may come back to after a gap.
+# After this many scans, those that are no key scans are dropped, except the last ones, to which the front end
+# may return after a gap.
 TIDY_SCANS, LAST_SCANS = 256, 64
-# So many key scans are enough for a place of this size, seen in one of so many directions.
+# This many key scans are enough for a place of this size, seen in one of this many directions.
 PLACE_KEYS, PLACE_M, DIRECTIONS = 3, 0.5, 8
-# The log is kept whole up to so many scans.
+# The whole log is kept up to this many scans.
 MOST_SCANS = 20_000
-# The track is lost when so many scans in a row have less than this on what was seen before, of what could be.
+# The track is lost if, in this many scans in a row, less than this share of the points in known space fits.
 LOST_SCANS, LOST_AGREEMENT = 5, 0.6
 
 
 class Mapper:
-    """Online mapper: scans in, pose and map out. The map's frame is the odometry's at the
-    first scan; without odometry, the robot's."""
+    """Online mapper: scans in, pose and map out. The map's frame is the odometry's at the first scan; without
+    odometry, the robot's."""
 
     def __init__(self, lidar: LidarSpec, T_base_lidar: SE2, config: SlamConfig | None = None) -> None:
         self.config = config or SlamConfig()
@@ -56,9 +56,9 @@ class Mapper:
         self._log = GrowingLog(lidar, T_base_lidar)
         self._usable = self.config.usable(lidar)
         self._clouds = GrowingClouds()
-        # of each scan that there is a cloud of: number in the log, odometry, stamp, motion during the sweep
+        # of each scan with a cloud: number in the log, odometry, stamp, motion during the sweep
         self._prepared = Columns()
-        # of every scan of the log: the number of the last key, and the scan's pose seen from it
+        # of every scan of the log: the number of the last key, and the scan's pose relative to it
         self._by_key = Columns()
         self._tracker: Tracker | None = None
         self._loops: GrowingLoops | None = None
@@ -107,7 +107,7 @@ class Mapper:
 
     @property
     def lost(self) -> bool:
-        """Whether the newest scans fit the earlier ones so little that their poses are guesses."""
+        """Whether the newest scans fit the earlier ones so badly that their poses are guesses."""
         return self._misfits >= LOST_SCANS
 
     @property
@@ -181,7 +181,7 @@ class Mapper:
         """Prepare the newest scan."""
         number = len(self._log) - 1
         if number < SCANS and number & (number + 1) == 0:
-            # what the lidar's noise is shows the better the more scans there are
+            # more scans give a better estimate of the lidar's noise
             self._clouds.noise = range_noise(self._log.recording(), self._usable)
         motion = known_motion(one)
         self._clouds.append(one, self._usable, motion)
@@ -202,7 +202,7 @@ class Mapper:
         tracker.extend(self._clouds.view(), odometry)
 
     def _judge(self, tracker: Tracker) -> None:
-        """Count scans that do not fit. One without points says nothing where odometry carries the robot."""
+        """Count scans that do not fit. One without points says nothing if there is odometry."""
         blind = tracker.clouds.placed_by(tracker.scan) == "nothing"
         if blind and tracker.odometry is None:
             self._misfits += 1
@@ -210,7 +210,7 @@ class Mapper:
             self._misfits = 0 if self.fit >= LOST_AGREEMENT else self._misfits + 1
 
     def _revise(self, tracker: Tracker) -> None:
-        """Scans before that the newest one tells more of lie elsewhere, seen from their keys."""
+        """Correct earlier scans that the newest one revises, relative to their keys."""
         key, T_key_scan = self._by_key["key"], self._by_key["T_key_scan"]
         for scan, _ in tracker.placed.revised:
             number = self._prepared["number"][scan]
@@ -250,7 +250,7 @@ class Mapper:
             self._drop_scans()
 
     def _drop_scans(self) -> None:
-        """Of the log too only the scans that there are clouds of stay."""
+        """The log, too, keeps only scans with clouds."""
         stays = np.zeros(len(self._log), dtype=bool)
         stays[self._prepared["number"]] = True
         self._log.keep(stays)
@@ -258,11 +258,11 @@ class Mapper:
         self._prepared["number"][:] = np.arange(len(self._prepared))
 
     def _follow(self, tracker: Tracker, loops: GrowingLoops) -> None:
-        """The track goes where the graph has its last key scan."""
+        """Move the track to the graph's pose of its last key scan."""
         self._T_map_track = (SE2(loops.poses[-1]) @ SE2(tracker.pose_of(tracker.keys[-1])).inverse()).xyt
 
     def _hang_on(self, kept: NDArray[np.bool_], T_map_keys: Array) -> None:
-        """Scans seen from keys that go are seen from the last one before that stays."""
+        """Poses relative to removed keys become relative to the last key before that stays."""
         before = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
         key, T_map = self._by_key["key"], SE2(T_map_keys)
         T_new_old = (T_map[before].inverse() @ T_map)[key]

@@ -17,30 +17,31 @@ from turtlebag.pipeline.slam.clouds import USABLE_M
 from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.turn_comparison import PERIOD_S, tracked_alone, usual_period
 
-# So many stretches of so many scans, PERIOD_S apart at least, are asked; so many must answer.
-STRETCHES, SCANS, ANSWERS = 24, 6, 8
-# A stretch answers where this much was driven at least [m], by scans and odometry alike but for such a share.
+# This many stretches of this many scans, at least PERIOD_S apart, are compared; this many must be usable.
+STRETCHES, SCANS, ENOUGH = 24, 6, 8
+# A stretch is usable if the robot drove at least this far [m], and scans and odometry agree on the distance
+# to within this share.
 LEAST_WAY_M, SHARE = 0.1, 0.2
-# Answers agree when their mean direction is as long as this: 0.94 to 1 in 34 logs that tell.
+# The stretches agree if their mean direction is at least this long: 0.94 to 1 in 34 logs with enough of them.
 AGREEING = 0.9
-# Angles are told in such steps [deg], so that several recordings of one robot get the same, and smaller ones
-# not at all: in those logs the laser faces as said, to 2 degrees at worst.
+# The correction is rounded to this [deg], so that all recordings of one robot get the same one and small
+# errors none: in those logs the declared yaw is right to 2 degrees at worst.
 STEP_DEG = 5.0
 
 
 def facing(recording: Recording) -> Recording:
-    """The recording with its laser turned so that scans and odometry agree on the way; as it is where they
-    do, or where nothing tells."""
+    """The recording with its laser turned so that scans and odometry agree on the direction of motion;
+    unchanged if they agree already, or if there is too little to compare."""
     turned_deg = turned_by_deg(recording)
     if turned_deg == 0.0:
         return recording
     x, y, yaw = recording.T_base_lidar.xyt
-    said = (
+    note = (
         f"the laser's yaw is {turned_deg:.0f} degrees from the recorded mounting (by the motion of scans "
         "and odometry); corrected"
     )
     T_base_lidar = SE2.from_xyt(x, y, yaw + np.deg2rad(turned_deg))
-    return replace(recording, T_base_lidar=T_base_lidar, notes=(*recording.notes, said))
+    return replace(recording, T_base_lidar=T_base_lidar, notes=(*recording.notes, note))
 
 
 def turned_by_deg(recording: Recording) -> float:
@@ -49,22 +50,22 @@ def turned_by_deg(recording: Recording) -> float:
         return 0.0
     noise = range_noise(recording, USABLE_M)
     ways = np.array([_ways(recording, stretch, noise) for stretch in _stretches(recording)]).reshape(-1, 2)
-    seen, told = ways[np.abs(ways[:, 1]) >= LEAST_WAY_M].T
-    answers = np.abs(np.abs(seen) - np.abs(told)) <= SHARE * np.abs(told)
-    if np.count_nonzero(answers) < ANSWERS:
+    by_scans, by_odometry = ways[np.abs(ways[:, 1]) >= LEAST_WAY_M].T
+    usable = np.abs(np.abs(by_scans) - np.abs(by_odometry)) <= SHARE * np.abs(by_odometry)
+    if np.count_nonzero(usable) < ENOUGH:
         return 0.0
-    turns = told[answers] / seen[answers]
+    turns = by_odometry[usable] / by_scans[usable]
     mean = np.mean(turns / np.abs(turns))
     if np.abs(mean) < AGREEING:
         return 0.0
-    # the median: one stretch that went wrong by 60 degrees turns the mean of twenty by three
+    # the median, because one stretch that is wrong by 60 degrees turns the mean of twenty by three
     middle_deg = np.angle(mean, deg=True) + np.median(np.angle(turns / mean, deg=True))
     turned_deg = STEP_DEG * float(np.round(middle_deg / STEP_DEG))
     return 180.0 - (180.0 - turned_deg) % 360.0
 
 
 def _stretches(recording: Recording) -> list[NDArray[np.int64]]:
-    """Rows of the scans of each stretch in which the robot goes farthest and turns least by its odometry."""
+    """Scans of each of the stretches in which, by the odometry, the robot drives farthest and turns least."""
     T = recording.T_odom_base
     assert T is not None
     apart = max(1, round(PERIOD_S / usual_period(recording)))
@@ -76,15 +77,15 @@ def _stretches(recording: Recording) -> list[NDArray[np.int64]]:
 
 
 def _ways(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) -> NDArray[np.complex128]:
-    """Where a stretch ends seen from its begin, by the scans alone and by the odometry, x + iy [m].
+    """The end of a stretch seen from its start, by the scans alone and by the odometry, x + iy [m].
 
-    The way lies aside by half of what the robot turns: where scans and odometry differ in that, half of the
-    difference is no matter of how the laser is mounted, and taken off.
+    The direction to the end deviates from the initial heading by half of the turn. Half of the difference
+    between the turns of scans and odometry is therefore not due to the mounting, and is taken off.
     """
     T_odom = recording.T_odom_base
     assert T_odom is not None
     track = tracked_alone(recording, rows, noise).T_track_base
     ends = (track[0].inverse() @ track[-1], T_odom[rows[0]].inverse() @ T_odom[rows[-1]])
-    seen, told = (complex(*end.xy) for end in ends)
+    by_scans, by_odometry = (complex(*end.xy) for end in ends)
     aside = 0.5 * wrap(ends[0].yaw - ends[1].yaw)
-    return np.array([seen * np.exp(-1j * aside), told])
+    return np.array([by_scans * np.exp(-1j * aside), by_odometry])

@@ -28,10 +28,10 @@ from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.pipeline.slam.clouds import known_motion
 
 MAX_COUNTED = 400_000_000
-"""Cells to count beams in; most are cut off when the map is trimmed to what is known."""
-# Cells that fewer beams met say little of themselves.
+"""Cells for counting beams; most are cut off when the map is trimmed to its known part."""
+# Cells with fewer beams than this are not used for the quality of a map.
 MIN_MET = 3
-# Returns of a far wall scatter over so many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
+# Returns of a distant wall scatter over this many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
 BEHIND_CELLS = 3
 
 
@@ -65,7 +65,8 @@ class OccupancyConfig(Settings):
 
 
 class Counts(NamedTuple):
-    """For each cell (rows, cols) how many beams it returned, and how many passed through it."""
+    """For each cell (rows, cols), the number of beams that it returned, and of those that passed through
+    it."""
 
     hits: NDArray[np.uint16]
     misses: NDArray[np.uint16]
@@ -78,8 +79,8 @@ class Counts(NamedTuple):
 
 @dataclass(frozen=True)
 class Certainty:
-    """How decided the cells are: mean entropy of the cells that MIN_MET beams met [bit], and the share of
-    the beams that met a wall's cells which it returned; NaN where there are no such cells."""
+    """How certain the cells are: mean entropy of the cells with at least MIN_MET beams [bit], and the share
+    of beams returned by a wall's cells among those that reached them; NaN without such cells."""
 
     entropy_bits: float
     wall_share: float
@@ -103,7 +104,7 @@ def make_checked_grid(
     usable_range: float,
     motion: SE2 | None = None,
 ) -> tuple[OccupancyGrid, Certainty]:
-    """As `make_grid`, with what the counts behind it say of its quality."""
+    """As `make_grid`, with the quality of the counts behind it."""
     lidar, resolution = recording.lidar, config.resolution_m
     usable = min(lidar.range_max, usable_range)
     ranges, no_return = np.asarray(recording.ranges), min(usable, config.no_return_m)
@@ -118,7 +119,7 @@ def make_checked_grid(
     cols, rows = extent.astype(int)
     knots = known_motion(recording, motion).xyt
     if rows * cols > MAX_CELLS and not knots.any():
-        # most of what is counted may be cut off again: only what is surely known is too large for certain
+        # much of the counted area may be trimmed, so only an area that is too large for certain is refused
         known = _known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution)
         _require_cells(known, MAX_CELLS, resolution)
     counts, T_grid_base = Counts.none(rows, cols), T_map_base.xyt - np.array([*(corner * resolution), 0.0])
@@ -128,7 +129,7 @@ def make_checked_grid(
 
 
 def certainty(counts: Counts, min_hits: int) -> Certainty:
-    """How well the beams agree on the cells: a wall drawn twice is seen through, and so undecided."""
+    """How well the beams agree on the cells: a wall that is drawn twice is seen through, and so uncertain."""
     hits, misses = counts
     met = hits.astype(np.int32) + misses
     known = met >= MIN_MET
@@ -144,10 +145,10 @@ def certainty(counts: Counts, min_hits: int) -> Certainty:
 def beam_lengths(
     ranges: NDArray[np.float32], lidar: LidarSpec, usable: float, no_return: float, stride: int = 1
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """How far each beam says "free" [m], and whether it ends on a surface, (n, beams) each.
+    """Length over which each beam is free [m], and whether it ends on a surface, (n, beams) each.
 
-    A lone beam without return between two returns is a dropout, not open space: it says nothing.
-    Neighbours lie about `stride` beams away.
+    A lone beam without return between two returns is a dropout, not open space, and is not used. Neighbours
+    are about `stride` beams away.
     """
     surface, nothing = lidar.returns(ranges), lidar.silent(ranges)
     returned, far = surface & (ranges <= usable), surface & (ranges > usable)
@@ -200,7 +201,7 @@ def thinned(
     kept = out.copy()
     for row in range(1, rows - 1):
         for col in range(1, cols - 1):
-            # what stands beside the unknown closes the wall: it stays
+            # a cell next to unknown space closes the wall and stays
             if kept[row, col] != OCCUPIED or _beside(kept, row, col, UNKNOWN):
                 continue
             for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
@@ -225,10 +226,8 @@ def _beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
 
 
 def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:
-    """The known part of cells (rows, cols) with a margin; `corner` is in cells, x first.
-
-    InputError when no program could work with a map of that size.
-    """
+    """The known part of cells (rows, cols) with a margin; `corner` is in cells, x first. InputError if the
+    map is too large for any program."""
     known_rows = np.flatnonzero((cells != UNKNOWN).any(axis=1))
     known_cols = np.flatnonzero((cells != UNKNOWN).any(axis=0))
     if len(known_rows) == 0:
@@ -245,8 +244,8 @@ def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> 
 def _known(
     T_map_lidar: SE2, lidar: LidarSpec, length: NDArray[np.float32], resolution: float
 ) -> tuple[int, int]:
-    """Rows and columns that the map has at least: beams of such lengths (n, beams) passed all but the
-    end, whose return may have overshot."""
+    """The least rows and columns of the map: beams of these lengths (n, beams) passed all cells but the last,
+    whose return may have overshot."""
     low, high = T_map_lidar.xy.min(axis=0), T_map_lidar.xy.max(axis=0)
     for angle, reach in zip(lidar.angles.tolist(), length.T, strict=True):
         yaw, passed = T_map_lidar.yaw + angle, np.maximum(reach - (BEHIND_CELLS + 1) * resolution, 0.0)
@@ -257,7 +256,7 @@ def _known(
 
 
 def _require_cells(shape: Sequence[float], most: int, resolution: float) -> None:
-    """InputError for more cells than these, with a resolution [m] that leaves a tenth to spare."""
+    """InputError for more cells than allowed, naming a resolution [m] that leaves a tenth to spare."""
     rows, cols = shape
     if rows * cols > most:
         fits = 1.1 * resolution * math.sqrt(rows / most * cols)

@@ -18,10 +18,10 @@ from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
 from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
 
-# A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
+# Scans contradict a step of the odometry when the two are this many standard deviations apart; this many of
 # its last steps are taken together.
-LIE_SIGMAS, RECENT = 2.5, 5
-# So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
+CONTRADICTION_SIGMAS, RECENT = 2.5, 5
+# This many contradictions in a row are slipping wheels; one is a jump, or odometry that was delayed.
 SEVERAL = 3
 
 
@@ -44,7 +44,7 @@ def too_fast(
     seen = (waits > 0.0) & track.usable[1:] & track.usable[:-1]
     if not seen.any():
         return np.zeros(len(before), dtype=bool)
-    # stamps jitter: no step counts as shorter than usual
+    # stamps jitter, so no step counts as shorter than usual
     least_s = np.median(waits[seen])
     reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
     wait = seconds(recording.stamps_ns[after] - recording.stamps_ns[before])
@@ -56,8 +56,8 @@ def too_fast(
 def jumps(
     recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64], over: int = 1
 ) -> NDArray[np.int64]:
-    """Scans and those `over` scans later (n, 2) whose poses lie farther apart than the robot can drive, and
-    than its odometry says; no `borders`, the first scans of later logs, between them."""
+    """Scans and those `over` scans later (n, 2) that lie farther apart than the robot can drive and than its
+    odometry says, without one of the `borders`, the first scans of later logs, between them."""
     scans = np.arange(over, len(recording))
     pairs = np.column_stack([scans - over, scans])
     log = np.searchsorted(borders, pairs, "right")
@@ -68,15 +68,15 @@ def jumps(
 
 
 def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] | int) -> Array:
-    """Way [m] and turn [rad] between poses and later ones, (k, 2)."""
+    """Distance [m] and turn [rad] between poses and later ones, (k, 2)."""
     return way_and_turn((T_map_base[before].inverse() @ T_map_base[before + later]).xyt)
 
 
 class OdometryTrust:
     """Whether the odometry is trusted where the scans are blind.
 
-    Not once it was caught lying several times, until it says the same as the scans again, or, where these are
-    blind, the same as a steady motion.
+    After several contradictions it is not, until it agrees with the scans again or, where these are blind,
+    with a constant velocity.
     """
 
     def __init__(self, noise: OdometryNoise) -> None:
@@ -85,28 +85,31 @@ class OdometryTrust:
 
     def forget(self) -> None:
         """Forget these scans."""
-        self._held, self._lies = 0, 0
+        self._held, self._contradictions = 0, 0
 
     @property
-    def believed(self) -> bool:
+    def trusted(self) -> bool:
         """Whether its next step is trusted."""
-        return self._lies < SEVERAL
+        return self._contradictions < SEVERAL
 
     def judge(self, odometry_step: Array, T_map_base: Array, seen: Array) -> None:
-        """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
+        """Judge a step (3,) by the pose of the scan that ends it (3,) and that scan's information (3, 3).
 
-        A lie, about the way ahead, is one of the last steps together, and of the last of them: a jump is over
-        at once. Wheels that drive no way, as in a turn on the spot, confirm nothing. A turn that scans
-        contradict says little of the way: it may be told late.
+        Contradicted is the distance ahead, over the recent steps together and in the last one too: a jump is
+        over at once. Wheels that cover no distance, as in a turn on the spot, confirm nothing. A contradicted
+        turn says little about the distance, because the odometry may be late.
         """
-        told, noise = Told(odometry_step, T_map_base, seen, True), (self._noise.floor, self._noise.share)
-        self._held, self._lies = _judged(self._last, self._held, self._lies, told, noise)
+        step, noise = (
+            JudgedStep(odometry_step, T_map_base, seen, True),
+            (self._noise.floor, self._noise.share),
+        )
+        self._held, self._contradictions = _judged(self._last, self._held, self._contradictions, step, noise)
 
 
-class Told(NamedTuple):
-    """A step by odometry (3,), the pose that ends it by the scans (3,), and what the scan there saw (3, 3).
+class JudgedStep(NamedTuple):
+    """A step by odometry (3,), the pose by scans at its end (3,), and the information of that scan (3, 3).
 
-    Odometry that the pose may have been taken from (not `independent`) confirms nothing.
+    If the pose may come from the odometry itself (not `independent`), it confirms nothing.
     """
 
     step: Array
@@ -116,33 +119,35 @@ class Told(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _judged(last: Array, held: int, lies: int, told_now: Told, noise: tuple[float, float]) -> tuple[int, int]:
-    """`OdometryTrust.judge`: how many of `last` are held, and lies so far.
+def _judged(
+    last: Array, held: int, contradictions: int, judged: JudgedStep, noise: tuple[float, float]
+) -> tuple[int, int]:
+    """`OdometryTrust.judge`: how many of `last` are held, and the contradictions so far.
 
     `last` (RECENT + 1, 2, 3) are poses by odometry and by the scans, the newest at its end; `noise` is the
     floor and share of `OdometryNoise`.
     """
-    (step, pose, seen, independent), (floor, share) = told_now, noise
+    (step, pose, seen, independent), (floor, share) = judged, noise
     newest = _composed(last[-1, 0], step)
     for k in range(len(last) - 1):
         last[k] = last[k + 1]
     last[-1, 0], last[-1, 1] = newest, pose
     held = min(held + 1, len(last))
     if held < 2:
-        return held, lies
-    limit = LIE_SIGMAS * LIE_SIGMAS
-    told, error = _apart(last[-2], last[-1])
-    surprising = (error[0] / _sigma(told, floor, share)) ** 2 > limit
+        return held, contradictions
+    limit = CONTRADICTION_SIGMAS * CONTRADICTION_SIGMAS
+    motion, error = _apart(last[-2], last[-1])
+    improbable = (error[0] / _sigma(motion, floor, share)) ** 2 > limit
     moved = math.hypot(step[0], step[1]) > 2.0 * floor
-    if independent and moved and not surprising:
-        lies = 0
-    told, error = _apart(last[-held], last[-1])
-    if surprising and abs(error[0]) > GROSS * max(abs(told[0]), abs(told[0] + error[0])):
+    if independent and moved and not improbable:
+        contradictions = 0
+    motion, error = _apart(last[-held], last[-1])
+    if improbable and abs(error[0]) > GROSS * max(abs(motion[0]), abs(motion[0] + error[0])):
         along = np.zeros((3, 3))
-        along[0, 0] = _sigma(told, floor, share) ** -2.0
+        along[0, 0] = _sigma(motion, floor, share) ** -2.0
         if contradiction(error, along, seen) > limit:
-            return held, lies + 1
-    return held, lies
+            return held, contradictions + 1
+    return held, contradictions
 
 
 @njit(cache=True, nogil=True)
@@ -163,41 +168,42 @@ def _between(a: Array, b: Array) -> Array:
 @njit(cache=True, nogil=True)
 def _apart(before: Array, now: Array) -> tuple[Array, Array]:
     """The motion by the odometry (3,), and the scans' as seen from where it ends (3,)."""
-    told = _between(before[0], now[0])
-    return told, _between(told, _between(before[1], now[1]))
+    motion = _between(before[0], now[0])
+    return motion, _between(motion, _between(before[1], now[1]))
 
 
 @njit(cache=True, nogil=True)
 def _sigma(motion: Array, floor: float, share: float) -> float:
-    """That of the way ahead, as in `OdometryNoise`."""
+    """Standard deviation of the distance ahead, as in `OdometryNoise`."""
     return floor + share * math.hypot(motion[0], motion[1])
 
 
 @njit(cache=True, nogil=True)
-def _caught(
+def _distrusted(
     steps: Array, poses: Array, seen: Array, independent: NDArray, new: NDArray, noise: tuple[float, float]
 ) -> NDArray:
-    """Whether the odometry is not believed after each of its steps (n, 3), which end at `poses` (n, 3); at
-    those that are `new` (n,) nothing is known of what was before."""
-    caught = np.zeros(len(steps), dtype=np.bool_)
-    last, held, lies = np.zeros((RECENT + 1, 2, 3)), 0, 0
+    """Whether the odometry is distrusted after each of its steps (n, 3), which end at `poses` (n, 3); at
+    `new` ones (n,) the earlier steps are forgotten."""
+    distrusted = np.zeros(len(steps), dtype=np.bool_)
+    last, held, contradictions = np.zeros((RECENT + 1, 2, 3)), 0, 0
     for k in range(len(steps)):
         if new[k]:
-            held, lies = 0, 0
-        held, lies = _judged(last, held, lies, Told(steps[k], poses[k], seen[k], independent[k]), noise)
-        caught[k] = lies >= SEVERAL
-    return caught
+            held, contradictions = 0, 0
+        step = JudgedStep(steps[k], poses[k], seen[k], independent[k])
+        held, contradictions = _judged(last, held, contradictions, step, noise)
+        distrusted[k] = contradictions >= SEVERAL
+    return distrusted
 
 
-def disbelieved(
+def distrusted(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """At which scans (n,) the odometry is untrusted, before or after, or missing.
+    """At which scans (n,) the odometry is distrusted, before or after, or missing.
 
     `borders` are the first scans of later logs.
     """
     n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
-    unseen = blind(track.information)
+    observed = ~blind(track.information)
     if T_odom is None:
         return np.ones(n, dtype=bool)
     doubted = np.zeros(n, dtype=bool)
@@ -205,41 +211,45 @@ def disbelieved(
         steps, scans = track.calibration.corrected(T_odom[order].steps()), order[1:]
         new = np.isin(scans, borders if order[0] == 0 else borders - 1)
         seen = track.information[scans]
-        doubted[scans] |= _caught(steps, poses[scans], seen, ~unseen[scans], new, (noise.floor, noise.share))
+        doubted[scans] |= _distrusted(
+            steps, poses[scans], seen, observed[scans], new, (noise.floor, noise.share)
+        )
     return doubted
 
 
-def _unlikely(recording: Recording, track: Track, unseen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether the odometry says of scans that see nothing (n,) what no scan ever confirmed, (n,).
+def _implausible(recording: Recording, track: Track, unobserved: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """At which `unobserved` scans (n,) the odometry says what no scan ever confirmed, (n,).
 
-    That the robot drove faster than scans ever saw it drive; or anything of a way in the dark on which it
-    turned round at once, its speed changed by more than the fastest they saw.
+    It is faster than the robot ever drove by the scans; or it reverses at once, its speed changing by more
+    than that, and then the whole unobserved stretch is implausible.
     """
-    unlikely, steps = np.zeros(len(unseen), dtype=bool), track.T_track_base.steps()
-    seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
+    implausible, steps = np.zeros(len(unobserved), dtype=bool), track.T_track_base.steps()
+    seen = ~unobserved[1:] & track.usable[1:] & track.usable[:-1]
     if not seen.any():
-        return unlikely
+        return implausible
     waits = seconds(np.diff(recording.stamps_ns))
     waits = np.maximum(waits, np.median(np.abs(waits)))
-    # of several steps together: odometry held back for a moment is fast in the next
+    # over several steps: odometry that was delayed for a moment is fast in the next step
     moved = scipy.ndimage.uniform_filter1d([way_and_turn(steps)[:, 0], steps[:, 0], waits], RECENT, axis=1)
     speed, ahead = moved[:2] / moved[2]
     top = FASTER * np.quantile(speed[seen], NEARLY_ALWAYS)
-    unlikely[1:] = unseen[1:] & (speed > top)
-    turned = RECENT // 2 + 1 + np.flatnonzero(np.abs(ahead[RECENT:] - ahead[:-RECENT]) > top)
-    dark, _ = scipy.ndimage.label(unseen)
-    return np.asarray(unlikely | np.isin(dark, dark[turned[unseen[turned]]]))
+    implausible[1:] = unobserved[1:] & (speed > top)
+    reversals = RECENT // 2 + 1 + np.flatnonzero(np.abs(ahead[RECENT:] - ahead[:-RECENT]) > top)
+    stretches, _ = scipy.ndimage.label(unobserved)
+    return np.asarray(implausible | np.isin(stretches, stretches[reversals[unobserved[reversals]]]))
 
 
-def unseen_way(recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]) -> Array:
+def unobserved_way(
+    recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
+) -> Array:
     """Unobserved metres of each step (n,), by track or odometry, whichever is longer; 0 elsewhere.
 
-    Where scans are blind the odometry saw it, unless it is not believed there, or says what is unlikely.
+    Where scans are blind, the odometry observes the motion unless it is distrusted or implausible.
     """
     way = np.append(0.0, way_and_turn(track.T_track_base.steps())[:, 0])
-    unseen = blind(track.information)
-    alone = disbelieved(recording, track, noise, borders) | _unlikely(recording, track, unseen)
+    unobserved = blind(track.information)
+    unknown = distrusted(recording, track, noise, borders) | _implausible(recording, track, unobserved)
     if recording.T_odom_base is not None:
-        told = track.calibration.corrected(recording.T_odom_base.steps())
-        way[1:] = np.maximum(way[1:], way_and_turn(told)[:, 0])
-    return way * (unseen & alone)
+        steps = track.calibration.corrected(recording.T_odom_base.steps())
+        way[1:] = np.maximum(way[1:], way_and_turn(steps)[:, 0])
+    return way * (unobserved & unknown)

@@ -15,11 +15,11 @@ from turtlebag.pipeline.slam.free_space import WALL_M
 from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.open3d_loader import open3d
 
-# A loop of whose points fewer lie within WALL_M of the place's, or that ICP on them moves
-# farther than this [m], [rad], is not confirmed.
+# A loop is not confirmed if fewer of its points lie within WALL_M of the place's, or if ICP on them moves
+# farther than this [m], [rad].
 MIN_FITNESS = 0.6
 MAX_SHIFT_M, MAX_TURN_RAD = 0.08, 0.03
-# Standard deviation of a point on a post: the sides it is seen from differ.
+# Standard deviation of a point on a post, because it is seen from different sides.
 POINT_SIGMA_M = 0.02
 
 
@@ -85,7 +85,7 @@ class Open3dMatch:
         return Alignment(pose, found.information, found.overlap, found.rmse, 1.0 - found.overlap)
 
     def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
-        """As in `LoopMatch`; it would only ask itself again."""
+        """As in `LoopMatch`; a second run of ICP would only repeat the first."""
         del clouds, query, place, pose
         return True
 

@@ -42,14 +42,15 @@ from turtlebag.pipeline.slam.submaps import (
 from turtlebag.pipeline.slam.track import blind
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts
 
-# Another place may be the true one when it has no more than this many times as many free-space violations
-# (places that only look alike: from 6 % up, rooms alike to the centimetre 1 to 3 %). A true place has no more
-# than this many times what is usual in the log and MOST_VIOLATIONS besides: simulated logs 0 to 1 % (0 is
-# usual), CSAIL 1 (1), acapulco 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
+# Another place may be the true one if it has at most this many times as many free-space violations (places
+# that only look alike: 6 % and more, rooms identical to the centimetre 1 to 3 %). A true place has at most
+# this many times what is usual in the log plus MOST_VIOLATIONS: simulated logs 0 to 1 % (0 is usual), CSAIL 1
+# (1), acapulco 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
 ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
-# Submaps looked at from one place are one while their headings differ by less than this cosine says.
+# Submaps made at one place count as one if the cosine between their headings is larger than this.
 SAME_WAY = 0.7
-# A submap is aligned from where the pictures had it; its other scans are judged where that puts them.
+# A submap is aligned starting from the result of the image correlation; its other scans are judged at the
+# pose found.
 FROM_PICTURES, AS_PUT = Limits(0.4, 0.15), Limits(0.12, 0.06, iterations=0)
 
 
@@ -67,8 +68,8 @@ class PlaceRecognitionConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Recognition:
-    """What was recognised: poses with the parts laid together, loops, the record of all candidates, the
-    part of the log each key belongs to (keys,), and the broken steps that now say nothing (keys - 1,)."""
+    """The result: poses with the parts joined, loops, the record of all candidates, the part of the log that
+    each key belongs to (keys,), and the broken steps that have no weight any more (keys - 1,)."""
 
     T_map_keys: SE2
     loops: list[Constraint]
@@ -86,10 +87,8 @@ def recognise_places(
     config: PlaceRecognitionConfig,
     closing: LoopClosing,
 ) -> Recognition:
-    """Recognise places beyond the reach of the loops by distance.
-
-    `known` are those loops, `closing` how they are looked for, aligned and weighed.
-    """
+    """Recognise places beyond the reach of the loops by distance. `known` are those loops, `closing`
+    configures their search, alignment and weight."""
     by_distance, edits, back_end = closing.config, closing.edits, closing.back_end
     poses = T_map_keys.xyt.copy()
     drift = drift_of(poses, steps, breaks.broken)
@@ -109,7 +108,7 @@ def recognise_places(
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
-    """The steps, those over breaks that are bridged otherwise without a say: nothing saw what they claim."""
+    """The steps, without weight over bridged breaks, because nothing observed them."""
     return [
         replace(c, information=np.zeros((3, 3))) if c.j == c.i + 1 and released[c.i] else c for c in steps
     ]
@@ -122,10 +121,9 @@ def _candidates(
     config: PlaceRecognitionConfig,
     by_distance: LoopConfig,
 ) -> list[Recognised]:
-    """Every submap that drift may have carried out of the loops' reach, laid on the places it resembles.
-
-    A place that the loops have held together since is asked and looked for once, however often it was passed.
-    """
+    """Every submap that drift may have moved beyond the reach of the loops, matched with the places that it
+    resembles. A place that loops have held together since is searched only once, however often it was
+    passed."""
     poses, found, reach_m = drift.T_map_keys, [], by_distance.reach_m
     matcher = by_distance.matcher()
     places = windows(len(scans.keys), drift.broken)
@@ -168,7 +166,7 @@ def _settled(
     config: PlaceRecognitionConfig,
     matcher: LoopMatch,
 ) -> Recognised:
-    """A coarse pose of the query seen from the other made fine, and judged by all that can be checked."""
+    """A coarse pose of the query relative to the other submap, refined and judged by all available checks."""
     clouds, keys = scans
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
@@ -218,7 +216,7 @@ def _believed(
     config: PlaceRecognitionConfig,
     by_distance: LoopConfig,
 ) -> tuple[list[list[Recognised]], list[Recognised]]:
-    """The sets of places that are believed, and the record of all with their verdicts."""
+    """The accepted sets of places, and the record of all places with their verdicts."""
     good = [k for k, place in enumerate(found) if place.verdict == "candidate"]
     places = [found[k] for k in good]
     if not places:
@@ -262,10 +260,8 @@ def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
 
 
 def _stretch_violation(scans: KeyScans, stretch: list[Recognised], drift: Drift) -> float:
-    """Mean free-space violation of the revisits, with the whole stretch laid at its place; 1 without any.
-
-    Keys are carried by the nearest recognised one, as far as drift cannot make a wall seem seen through.
-    """
+    """Mean free-space violation of the revisits, with the whole stretch placed; 1 without any. Keys move with
+    the nearest recognised one, as long as drift cannot make a wall appear to be seen through."""
     n, poses = np.arange(len(scans.keys)), drift.T_map_keys
     to_i = np.array([_off(drift, n, place.i) for place in stretch])
     to_j = np.array([_off(drift, n, place.j) for place in stretch])
@@ -282,22 +278,23 @@ def _stretch_violation(scans: KeyScans, stretch: list[Recognised], drift: Drift)
 
 
 def _usual_violation(scans: KeyScans, drift: Drift) -> float:
-    """Mean free-space violation of visits which drift cannot have parted: people, glass."""
+    """Mean free-space violation of visits between which there is little drift: people, glass."""
     poses = drift.T_map_keys
     pairs = scipy.spatial.cKDTree(poses[:, :2]).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
-    # of those far apart in time drift leaves none; a sample holds enough of the others
+    # drift excludes those far apart in time; a sample holds enough of the others
     pairs = pairs[np.lexsort(pairs.T[::-1])][:: max(1, len(pairs) // (10 * MOST_PAIRS))]
     off = reach(read_at(drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
     return _violation(scans, poses, pairs[off < THROUGH_M], 0.0)
 
 
 def _violation(scans: KeyScans, poses: Array, pairs: NDArray[np.int64], unknown: float) -> float:
-    """Mean free-space violation of pairs (n, 2) of keys, of many in every second, third, ..."""
+    """Mean free-space violation of pairs (n, 2) of keys, thinned to every second, third, ... if there are
+    many."""
     return mean_violation(*scans, poses, pairs[:: max(1, len(pairs) // MOST_PAIRS)], unknown)
 
 
 def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
-    """How far off keys (n,) may lie as seen from another one [m], (n,)."""
+    """The uncertainty of keys (n,) relative to another one [m], (n,)."""
     gathered = drift.along(keys, np.full(len(keys), other))
     return reach(read_at(gathered, drift.T_map_keys[keys]))[0]
 
@@ -305,7 +302,7 @@ def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
 def _laid_together(
     poses: Array, part: NDArray[np.int64], members: list[Recognised]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Poses with the newer part of a broken track moved to where its members say, and the parts joined."""
+    """Poses with the newer part of a broken track moved to the accepted places, and the parts joined."""
     best = max(members, key=lambda place: place.overlap)
     newer, older = part[best.i], part[best.j]
     if newer == older:

@@ -20,9 +20,9 @@ from turtlebag.pipeline.slam.factors import Constraint
 
 Poses = TypeVar("Poses", SE2, Array)
 
-# Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
+# A negligible information that keeps matrices positive definite: a hundred metres, a hundred radians.
 WEAK = 1e-4
-# The first pose is held to this [m, rad].
+# Standard deviation of the fixed first pose [m, rad].
 HELD = 1e-6
 FLOOR = {size: WEAK * np.eye(size) for size in (3, 6)}
 # g2o writes translation before rotation.

@@ -24,26 +24,26 @@ from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
 
-# Lidars that see farther than this [m] time the light: nothing of theirs grows with the square of the range.
+# Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square
+# of the range.
 TRIANGULATES_M = 12.0
-# How far off such lidars are taken to be before they are seen, in standard deviations: so much [m] anywhere,
-# and such a share of the farthest usable range there, growing with the square of the range.
+# A priori standard deviations of such lidars: this much [m] at any range, and this share of the farthest
+# usable range there, growing with the square of the range.
 OFFSET_M, SHARE = 0.01, 0.01
-# All ranges of one turn of the head are longer than those of another by such a share, a standard deviation.
-# A guess, but hardly asked: with 0.0067, and with no bound at all, the ranges of 16 simulated drives came out
-# 4.1 and 4.6 mm off, without the share 5.1.
+# Standard deviation of the scale between two turns of the head. A guess, but not sensitive: with 0.0067, and
+# without a bound, the ranges of 16 simulated drives were 4.1 and 4.6 mm off, without the scale 5.1.
 TURN_SHARE = 0.005
-# So many key scans are asked, all of a house: with all of an office, twice as many, it came to the same.
+# This many key scans are used, all of a house; with all of an office, twice as many, the result was the same.
 FIRST_KEYS = 400
-# Their equations are solved so often, from where the solution before has moved the points.
+# The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
-# Lines so many beams to either side must have the same direction: lines cut corners and round pillars, the
-# more the farther away.
+# Lines this many beams to either side must have the same direction: lines cut corners and bend round pillars,
+# the more so at a distance.
 BESIDE = 6
-# Surfaces that are met at a smaller sine than this say little of ranges.
+# Surfaces met at a smaller sine than this say little about ranges.
 GRAZING_SINE = 0.25
-# The pairs of a lidar that is right tell so much of an error but once in twenty times: chi squared with two
-# degrees of freedom.
+# An error this significant appears once in twenty times for a lidar without one: chi-squared with two degrees
+# of freedom.
 CHANCE = 5.99
 
 
@@ -55,7 +55,7 @@ class RangeCalibration:
     square_per_m: float = 0.0
 
     def error(self, ranges: Array) -> Array:
-        """What such readings are too long by [m]."""
+        """Error of these readings [m]."""
         return np.asarray(self.offset_m + self.square_per_m * ranges**2)
 
     def as_metrics(self) -> dict[str, dict[str, float]]:
@@ -64,7 +64,7 @@ class RangeCalibration:
         return {"range_error_m": {"at_1_m": near, "at_3_m": far}} if self != RangeCalibration() else {}
 
     def applied(self, recording: Recording) -> Recording:
-        """The recording with its returns put right; a return stays one."""
+        """The recording with corrected ranges; a return remains a return."""
         ranges, lidar = recording.ranges, recording.lidar
         if self == RangeCalibration():
             return recording
@@ -75,12 +75,12 @@ class RangeCalibration:
         return replace(recording, ranges=np.where(back, right, ranges))
 
     def moved(self, clouds: Clouds) -> Clouds:
-        """The clouds as they would be with the ranges put right: points along their rays, lines with them."""
+        """The clouds with corrected ranges: points along their rays, and lines with them."""
         points, _ = self._along(clouds.points - clouds.origin)
         centers, stretch = self._along(clouds.centers - clouds.origin)
         ray = clouds.centers - clouds.origin
         ray = ray / np.maximum(np.linalg.norm(ray, axis=1), NOTHING_M)[:, None]
-        # A radial map stretches along and across the ray; normals go by the inverse of that.
+        # A radial map stretches along and across the ray; normals transform by its inverse.
         along = (clouds.normals * ray).sum(axis=1)[:, None] * ray
         normals = along / stretch[:, :1] + (clouds.normals - along) / stretch[:, 1:]
         length = np.linalg.norm(normals, axis=1)
@@ -92,7 +92,7 @@ class RangeCalibration:
         )
 
     def _along(self, rays: Array) -> tuple[Array, Array]:
-        """Rays (n, 2) with their lengths put right, and the stretch along and across them, (n, 2)."""
+        """Rays (n, 2) with corrected lengths, and the stretch along and across them, (n, 2)."""
         ranges = np.maximum(np.linalg.norm(rays, axis=1), NOTHING_M)
         share = 1.0 - self.error(ranges) / ranges
         return rays * share[:, None], np.column_stack([1.0 - 2.0 * self.square_per_m * ranges, share])
@@ -101,10 +101,10 @@ class RangeCalibration:
 def calibrate_ranges(
     clouds: Clouds, keys: NDArray[np.int64], T_track_keys: SE2, usable_m: float
 ) -> RangeCalibration:
-    """The calibration that brings together what key scans (n,) saw, placed by a front end.
+    """The calibration that best aligns what key scans (n,) saw, as placed by a front end.
 
-    Gauss and Newton's steps, the poses as they are. Where few surfaces were seen from several ranges the
-    prior holds: no error, to within OFFSET_M and SHARE of `usable_m`. What is not significant is none.
+    Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
+    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant error counts as none.
     """
     pairs = overlapping_pairs(T_track_keys, RADIUS_M, NEIGHBOURS)
     prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
@@ -121,7 +121,7 @@ def calibrate_ranges(
 def _equations(
     clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, limits: Limits
 ) -> tuple[Array, Array]:
-    """Normal equations (2, 2), (2,) of offset and square; pose and range of each pair's scans to each other
+    """Normal equations (2, 2), (2,) of offset and square; the relative pose and scale of each pair are
     eliminated."""
     h, g, straight = np.zeros((2, 2)), np.zeros(2), _straight(clouds, keys)
     information = STEP_INFLATION / TURN_SHARE**2
@@ -171,8 +171,8 @@ def _half(
         far, far_sine = _ray(centers[row, 0] - origin[0], centers[row, 1] - origin[1], nx, ny)
         if min(abs(near_sine), abs(far_sine)) < GRAZING_SINE:
             continue
-        # The range at which this ray meets the other's line. With that of the reading, its noise would be on
-        # both sides of the equation, and scans that shrink would fit better.
+        # The range at which this ray meets the other scan's line. With that of the reading, its noise would
+        # be on both sides of the equation, and shrunken scans would fit better.
         ray_x, ray_y = (px - origin[0]) / near, (py - origin[1]) / near
         near -= e / near_sine
         px, py = origin[0] + near * ray_x, origin[1] + near * ray_y
@@ -202,7 +202,7 @@ def _ray(x: float, y: float, nx: float, ny: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def _straight(clouds: Clouds, keys: NDArray) -> NDArray:
-    """Points (m,) of key scans whose surface goes on in the same direction to either side."""
+    """Points (m,) of key scans whose surface continues straight to both sides."""
     normals, line_ok = clouds.normals, clouds.line_ok
     out = np.zeros(len(normals), dtype=np.bool_)
     for key in keys:

@@ -15,13 +15,13 @@ import scipy
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording
 
-# Ranges are not better than this [m]: logs are rounded to centimetres, walls are rough.
+# No range is more accurate than this [m]: logs are rounded to centimetres, and walls are rough.
 LEAST_M = 0.003
-# Scans looked at; bins of ranges, each a factor wide; triples that make a bin count.
+# Number of scans used; ratio of successive bins of ranges; triples that make a bin count.
 SCANS, BIN_FACTOR, LEAST_TRIPLES = 400, 1.5, 100
-# Nearly all errors lie within so many standard deviations; in the plane those of 99 places in 100.
+# Nearly all errors lie within this many standard deviations; in the plane, 99 positions of 100.
 SIGMAS = 3.0
-# Standard deviation of a Gaussian over the median of its absolute value.
+# Ratio of a Gaussian's standard deviation to the median of its absolute value.
 PER_MEDIAN = 1.4826
 
 
@@ -43,7 +43,7 @@ class RangeNoise:
 
 
 def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
-    """The noise of a recording's ranges; the usual centimetre when too few beams tell."""
+    """The noise of a recording's ranges; the usual centimetre if there are too few beams."""
     step = max(1, len(recording) // SCANS)
     lidar, ranges = recording.lidar, recording.ranges[::step]
     valid, r = lidar.returns(ranges) & (ranges <= usable_range), ranges.astype(np.float64)
@@ -59,7 +59,7 @@ def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
     for k in np.unique(bins):
         inside = bins == k
         if np.count_nonzero(inside) >= LEAST_TRIPLES:
-            # each bin's error is a share of its variance, the smaller the more triples it has
+            # the error of a bin is a share of its variance, which falls with the number of triples
             variance = max(float(np.median(sigma[inside])), LEAST_M) ** 2
             share, at = np.sqrt(np.count_nonzero(inside)) / variance, float(np.median(middle[inside]))
             rows.append([share, share * at**2, share * at**4])

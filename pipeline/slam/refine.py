@@ -38,8 +38,9 @@ from turtlebag.pipeline.slam.open3d_icp import match_points
 from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise
 from turtlebag.pipeline.slam.threads import in_parts
 
-# Key scans farther apart than this, and than they usually see, see too little of the same to be partners [m];
-# so many on either side of one in time see the same as it does, and in proportion where they see farther.
+# Key scans farther apart than this [m], or than the usual range if that is longer, see too little of the same
+# to be partners; this many on either side of one in time see the same as it does, and proportionally more if
+# the lidar sees farther.
 RADIUS_M, ALIKE = 4.0, 2
 
 
@@ -83,10 +84,8 @@ def in_rounds(
     matched: Callable[[Poses, float], list[Constraint]],
     solve: Callable[[Poses, Sequence[Constraint], int], Poses] = optimise,
 ) -> tuple[Poses, list[Constraint]]:
-    """Pairs matched at the poses there are and the graph solved, again and again.
-
-    `matched` gives the constraints of a round; its number goes from 0 (the first) to 1 (the last).
-    """
+    """Match pairs at the current poses and solve the graph, again and again. `matched` gives the constraints
+    of a round, from its progress: 0 (the first) to 1 (the last)."""
     poses: Poses = T_map_keys
     constraints = list(steps)
     for round_ in range(rounds):
@@ -97,7 +96,7 @@ def in_rounds(
 
 
 def partner_radius(clouds: Clouds) -> float:
-    """How far apart [m] key scans may be and still be partners: the median of their ranges, or RADIUS_M."""
+    """The distance [m] up to which key scans are partners: the median of their ranges, or RADIUS_M."""
     ranges = np.linalg.norm(clouds.points - clouds.origin, axis=1)
     return max(RADIUS_M, float(np.median(ranges))) if len(ranges) else RADIUS_M
 
@@ -105,9 +104,9 @@ def partner_radius(clouds: Clouds) -> float:
 def overlapping_pairs(
     T_map_keys: SE2, radius: float, neighbours: int, alike: int = ALIKE
 ) -> NDArray[np.int64]:
-    """Pairs (n, 2), i < j, of keys near each other: for each key the two beside it in time and its
-    nearest ones, distributed over the visits to the place rather than taken from the last one only: of keys
-    that follow each other, those up to `alike` from one taken are left out."""
+    """Pairs (n, 2), i < j, of nearby keys: each key with its two successors in time and its nearest ones.
+    These are spread over all visits to the place: once a key is taken, those up to `alike` before and after
+    it are left out."""
     n = len(T_map_keys)
     tree = scipy.spatial.cKDTree(T_map_keys.xy)
     found: set[tuple[int, int]] = {(k, k + 1) for k in range(n - 1)} | {(k, k + 2) for k in range(n - 2)}

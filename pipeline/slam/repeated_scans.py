@@ -9,15 +9,16 @@ import numpy as np
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.range_noise import LEAST_M, range_noise
 
-# A robot that has moved so far by its odometry cannot have measured the very same ranges again [m], [rad].
+# A robot that has moved this far by its odometry cannot measure exactly the same ranges again [m], [rad].
 MOVED = 0.05
 
 
 def without_repeats(recording: Recording, usable_range: float) -> Recording:
-    """The recording without what a lidar that hangs sends: the same ranges, to the last bit, while the robot
-    moves on. Such scans keep their stamps and lose their ranges; a note says how many they are.
+    """The recording without the scans of a stuck lidar: the same ranges, to the last bit, while the robot
+    moves on.
 
-    A lidar without noise, such as a simulator's, may well measure the same again; nothing is undone then.
+    Such scans keep their stamps and lose their ranges; a note gives their number. A lidar without noise, such
+    as a simulated one, may measure the same again; its scans are kept.
     """
     odometry, bits = recording.T_odom_base, np.ascontiguousarray(recording.ranges).view(np.uint32)
     measured = recording.lidar.returns(recording.ranges).any(axis=1)
@@ -35,6 +36,6 @@ def without_repeats(recording: Recording, usable_range: float) -> Recording:
 
 
 def _exact(recording: Recording, usable_range: float) -> bool:
-    """Whether the ranges show no more noise than the least that any lidar is taken to have."""
+    """Whether the ranges have no more noise than the least assumed for any lidar."""
     noise = range_noise(recording, usable_range)
     return bool(noise.variance(np.array(1.0)) <= 1.1 * LEAST_M**2)

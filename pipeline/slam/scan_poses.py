@@ -21,12 +21,12 @@ from turtlebag.pipeline.slam.pose_graph import Poses, relative
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import Track
 
-# Scans whose points are made together: what that takes besides is several times their size.
+# Scans whose points are computed together; this takes several times their size in memory.
 SCANS_AT_ONCE = 2000
 # Gauss-Newton steps of one scan.
 ITERATIONS = 5
 NO_GAPS = np.zeros((0, 2), dtype=np.int64)
-# Standard deviation of a pose carried by the key scans [m]; of its yaw half as much [rad].
+# Standard deviation of a pose interpolated between key scans [m]; of its yaw half as much [rad].
 CARRIED_M = 0.003
 
 
@@ -39,10 +39,10 @@ class ReregistrationConfig(Settings):
 def carried_poses(
     T_track: Poses, keys: NDArray[np.int64], T_map_keys: Poses, gaps: NDArray[np.int64] = NO_GAPS
 ) -> Poses:
-    """Each scan of a track carried by the key scans before and after it, the correction blended between them.
+    """Each scan of a track moved with the key scans before and after it, their corrections blended.
 
-    Across `gaps` (n, 2), last scan before and first scan after each, the track says nothing of the motion, or
-    jumps: up to there the key before alone carries, from there on the key after.
+    Across `gaps` (n, 2), last scan before and first scan after each, the track does not know the motion, or
+    jumps: scans before a gap move with the key before it alone, scans after it with the key after it.
     """
     scans = np.arange(len(T_track))
     before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
@@ -66,11 +66,8 @@ def pose_all_scans(
     config: ReregistrationConfig,
     gaps: NDArray[np.int64],
 ) -> tuple[SE2, Array]:
-    """Poses (n,) of all scans in the map, and the share of each that lies on its surfaces (n,).
-
-    Key scans keep their refined poses. `clouds` and `clouds_of` are as in a session, `gaps` as in
-    `carried_poses`.
-    """
+    """Poses (n,) of all scans in the map, and the share of each that lies on its surfaces (n,). Key scans
+    keep their refined poses. `clouds` and `clouds_of` are as in a session, `gaps` as in `carried_poses`."""
     carried = carried_poses(track.T_track_base, track.keys, T_map_keys, gaps)
     if not config.enabled or len(track.keys) < 2:
         return carried, track.overlap

@@ -20,26 +20,26 @@ from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, NEAR_M, free_space_violations
 from turtlebag.pipeline.slam.map_uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.occupancy import Certainty
-from turtlebag.pipeline.slam.odometry_trust import jumps, unseen_way
+from turtlebag.pipeline.slam.odometry_trust import jumps, unobserved_way
 from turtlebag.pipeline.slam.selfcheck_verdict import Verdict
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.turn_comparison import usual_period
 
-# Visits so many key scans apart are a revisit. This share of free-space violations marks a place as bad.
+# Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
-# No larger share of the places, or of the scans, than this may be wrong; nor may more key scans than this,
-# however long the log, contradict most of their revisits.
+# At most this share of the places, or of the scans, may be wrong; and at most this many key scans, however
+# long the log, may contradict most of their revisits.
 MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
-# Where the graph knows the places of some scans no better than this [m], one standard deviation, the worst of
-# them may be 0.2 m off: it was off by 1.4 to 6 of these (ten logs of 20 m to 2 km with known poses).
+# If the standard deviation of some scans by the graph is larger than this [m], the worst of them may be 0.2 m
+# off: the true error was 1.4 to 6 times as large (ten logs of 20 m to 2 km with known poses).
 LEAST_SURE_M = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCheck(Verdict):
-    """Numbers of the check and what is wrong, in words; `violations` is (n, 3): key i,
-    key j, the share of points that violate the other's free space."""
+    """The numbers of the check and the reasons for doubt; `violations` is (n, 3): key i, key j, the share of
+    points that violate the other's free space."""
 
     revisits: int
     mean_violation: float
@@ -55,10 +55,8 @@ class SelfCheck(Verdict):
 def check_map(
     session: Session, T_map_base: SE2, overlap: Array, noise: OdometryNoise, certainty: Certainty
 ) -> SelfCheck:
-    """Check a finished map: poses of all scans (n,), and the `overlap` (n,) of each with the map as it ended.
-
-    `noise` is what the odometry's is taken for; `certainty` is the grid's.
-    """
+    """Check a finished map: poses of all scans (n,), and the final `overlap` (n,) of each with the map.
+    `noise` is that assumed for the odometry; `certainty` is the grid's."""
     recording, borders, breaks = session.recording, session.borders, session.unconfirmed
     track, T_map_keys = replace(session.track, overlap=overlap), session.graph.T_map_keys
     pairs = _revisits(T_map_keys)
@@ -93,13 +91,14 @@ def check_map(
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
     reasons += _jumps(recording, track, T_map_base, borders)
-    unseen = unseen_way(recording, track, noise, borders)
+    unobserved = unobserved_way(recording, track, noise, borders)
     constraints = session.graph.constraints
-    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unseen))
+    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved))
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]
-        blind = f"; scans and odometry missed {unseen.sum():.1f} m of the path" if unseen.any() else ""
+        missed = unobserved.sum()
+        blind = f"; scans and odometry missed {missed:.1f} m of the path" if missed > 0.0 else ""
         reasons.append(
             f"the pose graph is uncertain near x {x:.1f}, y {y:.1f} by {sigma:.2f} m (one standard "
             f"deviation): the map may be bent there{blind}"
@@ -117,8 +116,8 @@ def _revisits(T_map_keys: SE2) -> NDArray[np.int64]:
 
 
 def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> NDArray[np.int64]:
-    """Keys contradicted (by more than `limit`) in more than half of their revisits: however few of a long
-    log, they lie where they cannot be."""
+    """Keys contradicted (by more than `limit`) in more than half of their revisits: even a few in a long log
+    are in a wrong place."""
     n = int(pairs.max()) + 1 if len(pairs) else 0
     visits = np.bincount(pairs.ravel(), minlength=n)
     against = np.bincount(pairs[share > limit].ravel(), minlength=n)
@@ -126,7 +125,7 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
 
 
 def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
-    """Whether the robot went farther than it can, from scan to scan or for some time."""
+    """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
     for over in (1, max(1, round(GAP_S / usual_period(recording)))):
         jumped = jumps(recording, track, T_map_base, borders, over)
         if len(jumped):

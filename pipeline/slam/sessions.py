@@ -30,8 +30,8 @@ BORDER = np.diag([25.0, 25.0, 100.0])
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """The graph of a session: key poses, the final constraints, the records of all candidates for loops,
-    and the breaks of the log that no loop bridges (keys - 1,)."""
+    """The graph of a session: key poses, final constraints, records of all loop candidates, and the breaks of
+    the log that no loop bridges (keys - 1,)."""
 
     T_map_keys: SE2
     constraints: list[Constraint]
@@ -44,9 +44,9 @@ class Graph:
 class Session:
     """One recording (or several joined) with its map.
 
-    The clouds are made when they are needed: `clouds` are those of the key scans, all that stays in memory;
-    `clouds_of` makes those of any scans. `motion` is the base's during each sweep, None where a sweep is one
-    instant. The recording's ranges are put right already; `ranges` is what those of the first were off by.
+    Clouds are made when needed: `clouds` are those of the key scans, which stay in memory; `clouds_of` makes
+    those of any scans. `motion` is the base's during each sweep, None if a sweep is one instant. The
+    recording's ranges are corrected already; `ranges` is the error of those of the first one.
     """
 
     recording: Recording
@@ -66,12 +66,12 @@ class Session:
 
     @property
     def unconfirmed(self) -> NDArray[np.int64]:
-        """Scans before which nothing confirms the motion, and that no recognised place joins to the rest."""
+        """Scans before which the motion is unconfirmed, and that no recognised place connects to the rest."""
         breaks = self.breaks.contradicted | self.breaks.alone
         return self.track.keys[1:][self.graph.unbridged & breaks]
 
     def carried(self) -> Track:
-        """The track with its poses where the graph has them."""
+        """The track with the poses of the graph."""
         track = self.track
         T = carried_poses(track.T_track_base, track.keys, self.graph.T_map_keys, self.breaks.gaps)
         return replace(track, T_track_base=T)
@@ -82,10 +82,8 @@ class Session:
 
 
 def joined_recording(recordings: list[Recording]) -> Recording:
-    """One recording of all scans, in the order given; InputError when the lidars differ.
-
-    The odometry poses are each recording's own: steps across a border mean nothing.
-    """
+    """One recording of all scans, in the given order; InputError if the lidars differ. The odometry poses are
+    each recording's own: steps across a border mean nothing."""
     first = recordings[0]
     for other in recordings[1:]:
         same = other.lidar == first.lidar and np.allclose(other.T_base_lidar.xyt, first.T_base_lidar.xyt)
@@ -107,7 +105,7 @@ def joined_recording(recordings: list[Recording]) -> Recording:
 
 
 def joined_track(a: Track, b: Track, T_a_b: SE2) -> Track:
-    """Track `b` appended to `a`, moved by `T_a_b`; its scans are numbered on from `a`'s."""
+    """Track `b` appended to `a`, moved by `T_a_b`; its scans are numbered after `a`'s."""
     n = len(a.T_track_base)
     steps = None
     if a.odometry_steps is not None and b.odometry_steps is not None:
@@ -129,20 +127,19 @@ def joined_track(a: Track, b: Track, T_a_b: SE2) -> Track:
 def place_of(
     clouds: Clouds, a: Session, b: Session, config: PlaceRecognitionConfig, loops: LoopConfig
 ) -> SE2 | None:
-    """Where session `b` (scans numbered on from `a`'s in `clouds`) lies in the map of `a`, by place
-    recognition: the log of both is broken where they meet. Its beginning is asked first, more of it when
-    that does not tell; one too short for so many submaps as must agree is believed by those it has. None
-    when no place is."""
+    """The pose of session `b` (its scans follow `a`'s in `clouds`) in the map of `a`, by place recognition
+    across the break between the two. The first eighth of `b` is tried first, then more of it. If `b` has
+    fewer submaps than must agree, those it has are enough. None if no place is recognised."""
     n, breaks = len(a.track.keys), joined_breaks(a.bridged(), b.bridged(), len(a.recording), broken=True)
     keys = np.concatenate([a.track.keys, b.track.keys + len(a.recording)])
     T = np.concatenate([a.graph.T_map_keys.xyt, b.graph.T_map_keys.xyt])
-    told = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
+    constraints = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
     submaps = len(windows(len(keys) - n, b.bridged().broken))
     config = config.model_copy(update={"min_support": max(min(config.min_support, submaps), 1)})
     for share in (8, 4, 2, 1):
         asked = n + (len(keys) - n) // share
-        steps = [c for c in told if max(c.i, c.j) < asked and c.kind in STEPS]
-        held = [c for c in told if max(c.i, c.j) < asked and c.kind not in STEPS]
+        steps = [c for c in constraints if max(c.i, c.j) < asked and c.kind in STEPS]
+        held = [c for c in constraints if max(c.i, c.j) < asked and c.kind not in STEPS]
         log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, breaks.first(asked - 1), held
         record = recognise_places(*log, config, LoopClosing(loops)).record
         found = [place for place in record if place.verdict == "accepted" and place.j < n <= place.i]
@@ -153,7 +150,8 @@ def place_of(
 
 
 def border_constraint(a: Track, T_map_keys: SE2, T_map_b: SE2, b: Track) -> Constraint:
-    """Ties the first key of `b` to the last of `a`: weakly, the loops between them do the rest."""
+    """A weak constraint of the first key of `b` to the last of `a`; the loops between them determine the
+    rest."""
     last = len(a.keys) - 1
     relative = T_map_keys[last].inverse() @ (T_map_b @ b.T_track_base[b.keys[0]])
     return Constraint(last, last + 1, relative.xyt, BORDER, "loop")

@@ -29,7 +29,7 @@ from turtlebag.pipeline.slam.loop_edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
-from turtlebag.pipeline.slam.odometry_trust import disbelieved, jumps
+from turtlebag.pipeline.slam.odometry_trust import distrusted, jumps
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.range_calibration import (
     FIRST_KEYS,
@@ -55,7 +55,7 @@ from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks, tra
 from turtlebag.pipeline.slam.tracker import Maker, track_log
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
 
-# Settings that the front end does not read; of all others a change starts it anew.
+# Settings that the front end does not read; a change of any other one starts it anew.
 LATER = {"back_end", "loops", "place_recognition", "refine", "reregistration", "grid"}
 
 
@@ -137,7 +137,7 @@ class SlamResult:
 
 
 def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[int]:
-    """Shows nothing."""
+    """No progress."""
     del description, total
     return items
 
@@ -232,20 +232,22 @@ def _session(recording: Recording, run: _Run) -> Session:
         recording = ranges.applied(recording)
         motion, clouds_of, track = _tracked(recording, run, config)
     clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
-    doubted = disbelieved(recording, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
+    doubted = distrusted(recording, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
     breaks, steps = track_breaks_of(recording, track), step_constraints(track, config.tracking, doubted)
     graph = _optimised(clouds, track, breaks, steps, replace(run, config=config))
     return Session(recording, clouds, clouds_of, motion, track, breaks, graph, ranges)
 
 
 def _without_odometry(recording: Recording) -> Recording:
-    """The recording without an odometry that does not turn when the scans do: another drive's, say."""
+    """The recording without its odometry if that does not turn when the scans do, because it belongs to
+    another drive."""
     said = "the odometry does not turn when the scans do (is it from another drive?): not used"
     return replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
 
 
 def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 | None, CloudsOf, Track]:
-    """The motion during each sweep, what makes the clouds of some or all scans, and the front end's track."""
+    """The motion during each sweep, a function that makes the clouds of some or all scans, and the front
+    end's track."""
     usable, turning = config.usable(recording.lidar), recording.lidar.time_increment != 0.0
     motion = sweep_motion(recording) if turning else None
 
@@ -257,9 +259,10 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
 
     clouds_of, track = placed(motion)
     if turning and len(recording) > 1:
-        # where nobody who is believed says how the robot moved during a sweep, the scans do, once placed
+        # where neither trusted odometry nor anything else gives the motion during a sweep, the scans do, once
+        # they are placed
         noise, no_borders = config.tracking.odometry, np.zeros(0, dtype=np.int64)
-        unknown = motion is None or disbelieved(recording, track, noise, no_borders)
+        unknown = motion is None or distrusted(recording, track, noise, no_borders)
         if np.any(unknown):
             by_track = sweep_motion_by_track(recording, track.T_track_base)
             known = by_track if motion is None else motion
@@ -271,7 +274,7 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
 def _range_errors(
     recording: Recording, clouds_of: CloudsOf, track: Track, config: SlamConfig
 ) -> RangeCalibration:
-    """What a short-range lidar's ranges are off by, as the first key scans show."""
+    """The range error of a short-range lidar, by the first key scans."""
     if not config.calibrate_ranges or recording.lidar.range_max > TRIANGULATES_M:
         return RangeCalibration()
     keys = track.keys[:FIRST_KEYS]
@@ -297,7 +300,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
         raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
     track = joined_track(track_a, track_b, T_map_b)
     border = border_constraint(track_a, T_map_keys, T_map_b, track_b)
-    doubted = disbelieved(recording, track, config.tracking.odometry, np.array([len(a.recording)]))
+    doubted = distrusted(recording, track, config.tracking.odometry, np.array([len(a.recording)]))
     steps = [c for c in step_constraints(track, config.tracking, doubted) if c.i != border.i]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
@@ -307,7 +310,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
-    """The recording and settings cut down to the sensors asked for; InputError without those needed."""
+    """The recording and settings reduced to the sensors asked for; InputError without those needed."""
     if not config.deskew:
         recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
     if config.sensors == "lidar" and config.front_end == "wheels":
@@ -325,7 +328,7 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
 
 
 def _by_odometry(config: SlamConfig) -> SlamConfig:
-    """The settings with the odometry as it is for front end, and nothing that would move a scan after."""
+    """The settings with plain odometry as front end, and without anything that would move a scan later."""
     off = {
         "front_end": "wheels",
         "calibrate_ranges": False,

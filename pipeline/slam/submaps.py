@@ -18,20 +18,21 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
 
-# A submap has so many keys to each side of its middle one; the middles are so many keys apart. With fewer
-# points on surfaces it is none.
+# Keys on each side of a submap's middle one; keys between two middles; with fewer points on surfaces, there
+# is no submap.
 HALF_KEYS, STRIDE, LEAST_POINTS = 8, 6, 200
-# It reaches so far from its middle [m]; its picture has cells of this size [m], points blurred by one.
+# A submap's radius [m]; cell size of its image [m], in which points are blurred by one cell.
 REACH_M, RESOLUTION_M = 10.0, 0.25
-# Shifts that are looked at go so far; a picture is as wide as the reach and they to either side. [cells]
+# Largest shift; the width of an image is that of the submap and the shifts to both sides. [cells]
 MOST_SHIFT = 24
 CELLS = 2 * (round(REACH_M / RESOLUTION_M) + MOST_SHIFT)
-# Bins of the directions of normals, one each 3 degrees, and peaks of their correlation that are tried.
+# Bins of the normals' directions, 3 degrees each, and number of peaks of their correlation that are tried.
 HEADINGS = 120
 HEADING_PEAKS = 4
-# Poses worth a closer look that two submaps are given.
+# Number of candidate poses of two submaps.
 CANDIDATES = 2
-# The signature is of so many points, paired, in bins of distance (so many, of this size [m]) and of angle.
+# The signature is made of this many points, paired, in bins of distance (this many, of this size [m]) and of
+# angle.
 PAIR_SAMPLE, PAIR_BINS, PAIR_BIN_M, ANGLE_BINS = 160, 24, 0.5, 6
 
 
@@ -50,7 +51,7 @@ class Submap:
 
 
 def windows(n_keys: int, broken: NDArray[np.bool_]) -> dict[int, NDArray[np.int64]]:
-    """Keys of each submap by its middle one, along the log; none reaches over a broken step."""
+    """The keys of each submap by its middle one, along the log; none spans a broken step."""
     ends = np.concatenate([[0], np.flatnonzero(broken) + 1, [n_keys]])
     found = {}
     for lo, hi in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
@@ -62,7 +63,7 @@ def windows(n_keys: int, broken: NDArray[np.bool_]) -> dict[int, NDArray[np.int6
 def make_submap(
     clouds: Clouds, keys: NDArray[np.int64], T_map_keys: Array, middle: int, chosen: NDArray[np.int64]
 ) -> Submap | None:
-    """The submap of the keys `chosen` about `middle`; None when they see too little."""
+    """The submap of the keys `chosen` around `middle`; None if they see too little."""
     T_middle_keys = (SE2(T_map_keys[middle]).inverse() @ SE2(T_map_keys[chosen])).xyt
     points = points_in_map(clouds.points, clouds.starts, keys[chosen], T_middle_keys)
     normals = np.concatenate(
@@ -87,7 +88,7 @@ def make_submap(
 
 
 def similarity(query: Submap, others: list[Submap]) -> Array:
-    """How much of the query's signature each of the others shares, 0..1 (histogram intersection)."""
+    """The share of the query's signature that each of the others has, 0..1 (histogram intersection)."""
     return np.array([float(np.minimum(query.signature, other.signature).sum()) for other in others])
 
 
@@ -101,7 +102,7 @@ def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
     cells = _cells(SE2.from_xyt(0.0, 0.0, yaws[:, None]) @ inner) % CELLS
     images = np.zeros((len(yaws), CELLS, CELLS), dtype=np.float32)
     images[np.arange(len(yaws))[:, None], cells[..., 1], cells[..., 0]] = 1.0
-    # all headings in one transform: each alone costs more in calls than in work
+    # all headings in one transform, because calls cost more than the work
     products = other.spectrum * np.conj(scipy.fft.rfft2(images))
     scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / images.sum(axis=(1, 2))[:, None, None]
     for yaw, window in zip(yaws.tolist(), _windows(scores), strict=True):
@@ -120,7 +121,7 @@ def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
 
 
 def _thinned(points: Array, normals: Array) -> Array:
-    """One point and normal in each cell, (n, 4): near walls, hit by many beams, would drown the rest."""
+    """One point and normal per cell, (n, 4); otherwise near walls, hit by many beams, would dominate."""
     _, first = np.unique(_cells(points), axis=0, return_index=True)
     return np.hstack([points[first], normals[first]])
 
@@ -163,13 +164,14 @@ def _headings(query: Array, other: Array) -> list[int]:
 
 
 def _windows(scores: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The shifts of correlations (n, CELLS, CELLS) that are looked at, the middle one none."""
+    """The considered shifts of correlations (n, CELLS, CELLS), no shift in the middle."""
     size = 2 * MOST_SHIFT + 1
     return np.asarray(np.roll(scores, (MOST_SHIFT, MOST_SHIFT), (1, 2))[:, :size, :size])
 
 
 def _best_shifts(window: NDArray[np.float32], count: int) -> list[tuple[float, float, float]]:
-    """The best translations of one of `_windows`, which is used up, at least 0.8 m apart: score, x, y [m]."""
+    """The best translations of one of `_windows`, which is overwritten, at least 0.8 m apart: score, x, y
+    [m]."""
     out = []
     for _ in range(count):
         row, col = divmod(int(np.argmax(window)), window.shape[1])

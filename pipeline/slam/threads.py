@@ -19,10 +19,10 @@ Part = TypeVar("Part")
 
 
 def in_parts(work: Callable[[slice], Part], n: int) -> list[Part]:
-    """`work` done on successive slices of n items, two at a time; its results in order."""
+    """`work` on successive slices of n items, two at a time; its results in order."""
     if n < WORTH_IT:
         return [work(slice(0, n))]
-    # more parts than threads: one with the harder items does not keep the other waiting long
+    # more parts than threads, so that one with harder items does not keep the other thread waiting
     borders = [round(k * n / (4 * THREADS)) for k in range(4 * THREADS + 1)]
     parts = [slice(a, b) for a, b in pairwise(borders)]
     if os.environ.get("OMP_NUM_THREADS") == "1":  # others need the cores: the workers of a campaign

@@ -14,9 +14,9 @@ from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
 from turtlebag.pipeline.slam.pose_graph import WEAK
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery", "standstill")
-# How well scans and odometry must agree on a motion [m]; [rad], and as a share of the motion.
+# How far scans and odometry may differ about a motion [m]; [rad], and as a share of the motion.
 AGREE_M, AGREE = 0.3, 0.15
-# A scan is blind when it sees this share along one direction of what it sees along the other, or less.
+# A scan is blind if its information along one direction is at most this share of that along the other.
 BLIND = 0.01
 
 
@@ -46,10 +46,10 @@ class TrackingConfig(Settings):
 class Track:
     """Front-end result: a pose per scan, which scans are key scans, and the fit of each scan.
 
-    `information` (n, 3, 3) is what the scan saw (blind directions taken out); `source` names the
-    hypothesis that won per scan (index into HYPOTHESES). `odometry_steps` (keys - 1, 3) are the
-    calibrated odometry's motions between successive key scans, None without odometry. `usable` says
-    which scans had points to align.
+    `information` (n, 3, 3) is that of the scan alone, without blind directions; `source` names the hypothesis
+    that won per scan (index into HYPOTHESES). `odometry_steps` (keys - 1, 3) are the calibrated odometry's
+    motions between successive key scans, None without odometry. `usable` says which scans had points to
+    align.
     """
 
     T_track_base: SE2
@@ -64,7 +64,7 @@ class Track:
 
 
 def blind(information: Array) -> NDArray[np.bool_]:
-    """Whether scans with information (..., 3, 3) see one direction only, their yaw being open."""
+    """Whether scans with information (..., 3, 3) observe only one direction when their yaw is unknown."""
     with_yaw, of_yaw = information[..., :2, 2:], np.maximum(information[..., 2:, 2:], WEAK)
     seen = np.linalg.eigvalsh(information[..., :2, :2] - with_yaw @ np.swapaxes(with_yaw, -1, -2) / of_yaw)
     return np.asarray(seen[..., 0] <= BLIND * np.maximum(seen[..., 1], WEAK))

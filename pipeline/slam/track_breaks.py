@@ -21,19 +21,20 @@ from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.odometry_trust import agree, too_fast
 from turtlebag.pipeline.slam.track import Track, blind
 
-# A gap is also this many usual periods long.
+# A gap is at least this many usual periods long.
 GAP_PERIODS = 8.0
 STAMPS_NEAR = 12
-# In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be. After
-# a longer one it may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back), and a
-# scan aligned from where it had the robot agrees with it in any case: most must lie on what was seen.
+# After a wait this short, odometry alone may determine a blind direction, because it says nothing impossible.
+# After a longer one it may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back),
+# and a scan aligned from its prediction agrees with it in any case: most of the scan must then lie on known
+# surfaces.
 SHORT_S, SURE_OVERLAP = 5.0, 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class TrackBreaks:
-    """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it),
-    whether scans and odometry contradict each other, whether odometry alone spoke. `gaps` (n, 2) are the last
+    """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it), whether
+    scans and odometry contradict each other, whether only odometry observed it. `gaps` (n, 2) are the last
     scan before and the first after each break."""
 
     broken: NDArray[np.bool_]
@@ -42,7 +43,7 @@ class TrackBreaks:
     gaps: NDArray[np.int64]
 
     def segments(self) -> NDArray[np.int64]:
-        """Number of the unbroken part each key lies in, (keys,)."""
+        """The number of the unbroken part that each key belongs to, (keys,)."""
         return np.concatenate([[0], np.cumsum(self.broken)])
 
     def first(self, steps: int) -> TrackBreaks:
@@ -61,8 +62,8 @@ class TrackBreaks:
 
 
 def joined_breaks(a: TrackBreaks, b: TrackBreaks, scans: int, *, broken: bool = False) -> TrackBreaks:
-    """The breaks of two recordings, one found in the map of the other, or not yet: then there is one between.
-    `scans` is how many the first one has."""
+    """The breaks of two recordings, one located in the map of the other, or not yet: then there is one
+    between them. `scans` is the number of scans of the first."""
     border, no = np.array([broken]), np.zeros(1, dtype=bool)
     return TrackBreaks(
         np.concatenate([a.broken, border, b.broken]),
@@ -75,11 +76,9 @@ def joined_breaks(a: TrackBreaks, b: TrackBreaks, scans: int, *, broken: bool = 
 def joined_parts(
     breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) that say
-    nothing because their ends are held together otherwise.
-
-    `joins` are pairs of keys recognised as one place. A broken step that nothing contradicts still joins.
-    """
+    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) without weight,
+    because their ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken
+    step that nothing contradicts still connects."""
     segment = breaks.segments()
     part = np.arange(segment[-1] + 1)
     for i, j in joins:
@@ -99,7 +98,7 @@ def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
     sure = ~blind(track.information) & (track.overlap >= SURE_OVERLAP)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
-    # the first scan that fits nothing of what was seen just before follows a gap, whatever the stamps say
+    # the first scan that fits nothing seen just before follows a gap, whatever the stamps say
     strange = track.usable & (track.overlap < LEAST_OVERLAP)
     first = 1 + np.flatnonzero(strange[1:] & ~strange[:-1])
     missing = gaps_between(recording.stamps_ns, track.usable)
@@ -121,12 +120,13 @@ def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
 
 
 def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Pairs (n, 2) of successive scans that `saw` something between which nothing was seen for long."""
+    """Pairs (n, 2) of successive scans that `saw` something, with a long time between them in which none
+    did."""
     usable = np.flatnonzero(saw)
     stamps = seconds(stamps_ns[usable])
     if len(stamps) < 2:
         return np.zeros((0, 2), dtype=np.int64)
-    # stamps out of order make gaps that are none: the latest before against the earliest after
+    # stamps out of order make false gaps, so the latest before is compared with the earliest after
     padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
     near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
     waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)

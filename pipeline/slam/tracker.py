@@ -23,18 +23,16 @@ from turtlebag.pipeline.slam.correlative import Field, best_pose, make_field
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed, require_placed
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
-# Key scans in the coarse search's field, and the size of its cells, which is that of its blur [m].
+# Key scans in the coarse search's field, and the size of its cells, which is also that of its blur [m].
 FIELD_KEYS, FIELD_M = 30, 0.1
-# Odometry is calibrated anew whenever the key scans have doubled since this many.
+# Odometry is calibrated again whenever the number of key scans has doubled, from this many on.
 FIRST_CALIBRATION = 25
 
 
 class Tracker:
-    """The log as far as it is tracked.
-
-    `scan` is the one placed last, or being placed; `velocity` (3,) is the motion of the last scan placed
-    since the scan before, `keys` are the key scans. `max_range` is how far the lidar is used [m].
-    """
+    """The log as far as it is tracked. `scan` is the one placed last, or being placed; `velocity` (3,) is the
+    motion of the last placed scan since the one before, `keys` are the key scans. `max_range` is how far the
+    lidar is used [m]."""
 
     def __init__(
         self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float, make: Maker
@@ -52,22 +50,22 @@ class Tracker:
         self._add_key()
 
     def extend(self, clouds: Clouds, T_odom_base: Array | None) -> None:
-        """The log has gone on: all its scans, and odometry (n, 3), if there is any."""
+        """Continue with a longer log: all its scans, and odometry (n, 3), if there is any."""
         self.clouds, self.odometry = clouds, T_odom_base
 
     def forget(self, scans: NDArray[np.bool_]) -> None:
-        """Go on without some scans (n,) of long ago: those that stay are numbered anew, and so are the key
-        scans among them. `extend` must follow, with the log so numbered."""
+        """Keep only these scans (n,): they are numbered anew, and so are the key scans among them. `extend`
+        must follow, with the log numbered likewise."""
         stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
         self.keys = [int(number[key]) for key in self.keys if stays[key]]
         self._placed = [self._placed[k] for k in np.flatnonzero(stays).tolist()]
         self.scan, self._field = int(number[self.scan]), None
         if len(self.keys) < n_keys:
-            # from one key scan to the next is no longer what was driven
+            # the distance between successive key scans is no longer the distance driven
             self.config = self.config.model_copy(update={"calibration": False})
 
     def step(self, wait_s: float) -> None:
-        """Place the next scan, taken so long after the last one [s]."""
+        """Place the next scan, taken this long after the last one [s]."""
         before, self.scan = self.scan, self.scan + 1
         step = None if self.odometry is None else self.odometry_since(before)
         if self._front_end is None:
@@ -76,15 +74,15 @@ class Tracker:
         else:
             said = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
             require_placed(self._front_end, said, self.scan)
-            # It may go on with its own arrays.
+            # The front end may continue with its own arrays.
             own = np.array(said.T_track_base, np.float64), np.array(said.information, np.float64)
             placed = replace(said, T_track_base=own[0], information=own[1])
-            # what they fitted, and saw, was at the poses that they leave
+            # their fit and information were those at the poses that they leave
             for scan, pose in placed.revised:
                 if scan not in self.keys:
                     source = self._placed[scan].source
                     self._placed[scan] = replace(placed, T_track_base=pose, source=source, revised=())
-            # what happened in a gap says nothing of the next step
+            # the motion across a gap does not predict the next step
             gap = abs(wait_s) > GAP_S
             self.velocity = np.zeros(3) if gap else between(self.pose, placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
@@ -94,26 +92,26 @@ class Tracker:
 
     @property
     def pose(self) -> Array:
-        """Where the last scan was placed (3,)."""
+        """Pose of the last scan (3,)."""
         return self.placed.T_track_base
 
     def last_keys(self, n: int) -> tuple[NDArray[np.int64], Array]:
-        """The last n key scans, (k,), and where they are, (k, 3)."""
+        """The last n key scans, (k,), and their poses, (k, 3)."""
         keys = self.keys[-n:]
         return np.array(keys), np.array([self.pose_of(key) for key in keys])
 
     def pose_of(self, scan: int) -> Array:
-        """Where a scan is taken to be by now (3,)."""
+        """The current pose of a scan (3,)."""
         return self._placed[scan].T_track_base
 
     def odometry_since(self, before: int, scan: int | None = None) -> Array:
-        """Motion (3,) from one scan to another (the present one) by the calibrated odometry there is."""
+        """Motion (3,) from one scan to another (the current one) by the calibrated odometry."""
         assert self.odometry is not None
         now = self.scan if scan is None else scan
         return self.calibration.corrected(between(self.odometry[before], self.odometry[now]))
 
     def fit(self, points: Array, pose: Array) -> float:
-        """How well points (n, 2) at a pose (3,) lie on what the last key scans saw, 0..1."""
+        """How well points (n, 2) at a pose (3,) fit the last key scans, 0..1."""
         return best_pose(self.field, points, pose, 0.0, 0.0, 1.0)[1]
 
     @property
@@ -124,7 +122,7 @@ class Tracker:
         return self._field
 
     def track(self, first: int = 0) -> Track:
-        """What is left of it all; from a key scan `first` on, which then is scan 0 and key scan 0."""
+        """The resulting track; from a key scan `first` on, which becomes scan 0 and key scan 0."""
         begin, steps = self.keys[first], None
         placed, keys = self._placed[begin:], self.keys[first:]
         if self.odometry is not None:
@@ -147,7 +145,7 @@ class Tracker:
         return self._placed[-1]
 
     def calibrate(self) -> None:
-        """Learn the odometry's systematic errors as far as the key scans show them."""
+        """Calibrate the odometry as far as the key scans allow."""
         if self.odometry is not None and self.config.calibration and len(self.keys) > 1:
             T_odom_keys = SE2(self.odometry[self.keys])
             keys, T_track_keys = self.last_keys(len(self.keys))

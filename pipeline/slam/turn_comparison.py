@@ -26,35 +26,35 @@ from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, RangeNoise, range_no
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.tracker import track_log
 
-# Delays looked at [s].
+# Delays considered [s].
 DELAYS_S = np.arange(-120, 121, 2) / 100.0
-# A smaller one moves the robot by less than what matching makes good; of odometry that comes less often, its
-# interval, PERIOD_S at most: CARMEN pairs scans with odometry up to 0.15 s off, and no map suffers.
+# A smaller delay moves the robot by less than matching corrects; if odometry comes less often, its interval,
+# PERIOD_S at most: CARMEN pairs scans with odometry up to 0.15 s off, and no map suffers.
 LEAST_S = 0.05
-# Stretches that are looked at and scans of each, this far apart at least [s].
+# Number of stretches, scans of each, and their least distance [s].
 STRETCHES, SCANS, PERIOD_S = 32, 8, 0.2
-# Turns are compared over so many scans: odometry that comes with the scans alone is smooth in between.
+# Turns are compared over this many scans: odometry that comes only with scans is smooth in between.
 SPAN = 3
-# So much likelier (logarithm) must all stretches together make a delay, or a lidar upside down, and this
-# many of equal weight or more must carry that: wheels that slip once are no clock that is late.
+# The log-likelihood ratio of all stretches together that establishes a delay or an upside-down lidar, which
+# at least this many stretches must contribute to equally: wheels that slip once are not a late clock.
 LIKELIER, AGREEING = 30.0, 4.0
 ROUNDS = 6
-# Whether another time from beam to beam is likelier is asked of every third stretch first, and of all unless
-# these make it so much less likely that the others could hardly make up for it.
+# Whether another time between beams is more likely is computed for every third stretch first, and for all
+# unless these make it so much less likely that the others could hardly outweigh it.
 FIRST = 3
-# Turns that differ by this share, and by this much [rad], are not of one robot: the odometry of other drives
-# was off by 0.95 to 3.7 times what scans turned, that of 60 own ones by 0.01 to 0.6 times.
+# Turns that differ by this share, and by this much [rad], belong to two robots: the odometry of other drives
+# was off by 0.95 to 3.7 times the turns of the scans, that of the same drive in 60 logs by 0.01 to 0.6 times.
 UNLIKE, UNLIKE_RAD = 0.8, 0.03
-# Scans farther apart than this [s], tracked alone, lose turns: they are no judge then of whose the odometry
-# is, nor of how the lidar sweeps (of the made logs with a scan a second, five had their odometry dropped and
-# one its sweeps turned round: 25 and 2.5 m off).
+# Scans farther apart than this [s], tracked alone, miss turns, so they cannot tell whose odometry it is, nor
+# how the lidar sweeps (of the synthetic logs with a scan a second, five lost their odometry and one had its
+# sweeps reversed: 25 and 2.5 m off).
 JUDGES_S = 0.5
 
 
 class Timing(NamedTuple):
-    """How late the odometry is [s], negative when it runs ahead, whether the lidar hangs the other way up
-    than said, the time from beam to beam [s] where it is another than said, and whether scans and odometry
-    turn together at all: not where it is that of another drive."""
+    """The delay of the odometry [s], negative if it is early; whether the lidar is mounted the other way up
+    than declared; the time between beams [s] if it differs from the declared one; and whether scans and
+    odometry turn together at all, which the odometry of another drive does not."""
 
     late_s: float = 0.0
     over: bool = False
@@ -63,8 +63,8 @@ class Timing(NamedTuple):
 
 
 def in_step(recording: Recording, timing: Timing) -> Recording:
-    """The recording with its odometry at the time of its scans, its lidar turned over or not and its sweeps
-    undone as they were; as it is where nothing is to be done."""
+    """The recording with its odometry shifted to the time of its scans, its lidar flipped and its sweeps
+    timed as the comparison says; unchanged if there is nothing to correct."""
     late_s, over, time_increment, _ = timing
     if time_increment is not None:
         way = (
@@ -138,8 +138,8 @@ def compared_turns(recording: Recording) -> Timing:
 
 
 def _sweeps(recording: Recording, usual_s: float) -> list[float]:
-    """Times from beam to beam [s] that the lidar may have in place of what is said: the other way round, or,
-    where none is said, a turn from scan to scan."""
+    """Alternative times between beams [s]: the reverse direction or, if none is declared, a full turn per
+    scan."""
     said = recording.lidar.time_increment
     if said != 0.0:
         return [-said]
@@ -154,7 +154,8 @@ def _sweeping(recording: Recording, time_increment: float) -> Recording:
 def _other_sweep(
     scans: Recording, late_s: float, noise: RangeNoise, turns: _Turns, others: Sequence[float]
 ) -> float | None:
-    """The one of other times from beam to beam [s] with which scans and odometry surely agree better."""
+    """The alternative time between beams [s] with which scans and odometry clearly agree better; None if
+    there is none."""
     best, gained = None, 0.0
     for time_increment in others:
         other = _sweeping(scans, time_increment)
@@ -167,7 +168,7 @@ def _other_sweep(
 
 
 def _gain(turns: _Turns, other: _Turns) -> Array:
-    """How much likelier the other is, as a logarithm, by stretch (STRETCHES,)."""
+    """The log-likelihood ratio in favour of the other, by stretch (STRETCHES,)."""
     sigma = min(turns.sigma, other.sigma)
     return turns.least(sigma) - other.least(sigma)
 
@@ -181,14 +182,14 @@ def _stream(recording: Recording) -> Trajectory:
 
 
 class _Turns(NamedTuple):
-    """What scans turned in spans (n,) of some stretches less and plus what the odometry turned at each delay,
+    """The turns of scans in spans (n,) of some stretches minus and plus those of the odometry at each delay,
     (2, delays, n) [rad]."""
 
     off: Array
     stretch: NDArray[np.int64]
 
     def some(self, every: int) -> _Turns:
-        """Those of one in `every` stretches, from the first."""
+        """The turns of one in `every` stretches, from the first."""
         chosen = self.stretch % every == 0
         return _Turns(self.off[:, :, chosen], self.stretch[chosen])
 
@@ -207,12 +208,12 @@ class _Turns(NamedTuple):
         return bool(np.abs(self.off[0]).mean(axis=1).min() < max(UNLIKE * turned, UNLIKE_RAD))
 
     def costs(self, sigma: float) -> Array:
-        """Of each stretch at each delay, (2, delays, STRETCHES)."""
+        """The costs of each stretch at each delay, (2, delays, STRETCHES)."""
         of_stretch = self.stretch[:, None] == np.arange(STRETCHES)
         return np.asarray(np.log1p((self.off / (CAUCHY * sigma)) ** 2) @ of_stretch)
 
     def least(self, sigma: float) -> Array:
-        """Those of each stretch at the delay at which they turn together best."""
+        """The costs of each stretch at the delay at which both turn together best."""
         costs = self.costs(sigma)[0]
         return np.asarray(costs[int(costs.sum(axis=1).argmin())])
 
@@ -229,12 +230,12 @@ def _delay(turns: _Turns) -> tuple[float, bool]:
 
 
 def _surely(gain: Array) -> bool:
-    """Whether the stretches together make something so much likelier, each by (n,) as a logarithm."""
+    """Whether the stretches together make something that much more likely, each by (n,) as a logarithm."""
     return bool(gain.sum() >= LIKELIER and gain.sum() ** 2 >= AGREEING * (gain**2).sum())
 
 
 def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
-    """Rows of the scans of each stretch in which the turning changes most."""
+    """Scans of each of the stretches in which the turning changes most."""
     assert scans.T_odom_base is not None
     waits = seconds(np.diff(scans.stamps_ns))
     known = (waits > 0.0) & (waits < GAP_S)
@@ -248,20 +249,20 @@ def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
 
 
 def _turns(scans: Recording, late_s: float, noise: RangeNoise, every: int = 1) -> _Turns:
-    """How scans and odometry turn in one of `every` stretches, the sweeps undone as of an odometry so much
-    late."""
+    """The turns by scans and by odometry in one of `every` stretches, the sweeps deskewed as if the odometry
+    were this late."""
     spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)[::every]]
     stream = _stream(scans)
     times, yaw = seconds(stream.stamps_ns - scans.stamps_ns[0]), np.unwrap(stream.poses.yaw)
     begin, end, turned = np.concatenate([np.zeros((0, 3)), *spans]).T
     later = DELAYS_S[:, None]
-    told = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
+    reported = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
     stretch = np.repeat(every * np.arange(len(spans)), [*map(len, spans)])
-    return _Turns(np.stack([turned - told, turned + told]), stretch)
+    return _Turns(np.stack([turned - reported, turned + reported]), stretch)
 
 
 def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
-    """Begin and end [s] since the first scan, and turn [rad] by the scans alone, over each span, (n, 3)."""
+    """Start and end [s] since the first scan, and turn [rad] by the scans alone, of each span, (n, 3)."""
     track = tracked_alone(scans, rows, noise, late_s)
     times = seconds(scans.stamps_ns[rows] - scans.stamps_ns[0])
     waits = np.diff(times)
@@ -273,7 +274,7 @@ def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: Ran
 def tracked_alone(
     recording: Recording, rows: NDArray[np.int64], noise: RangeNoise, late_s: float = 0.0
 ) -> Track:
-    """Some scans (n,) tracked by themselves, each sweep undone by an odometry so much late."""
+    """Some scans (n,) tracked alone, each sweep deskewed by an odometry this late."""
     stamps_ns = recording.stamps_ns[rows]
     late = replace(recording, stamps_ns=stamps_ns + nanoseconds(late_s))
     alone = replace(

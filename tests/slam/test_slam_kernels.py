@@ -29,7 +29,7 @@ from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.consistency import _grow
 from turtlebag.pipeline.slam.correspondences import MIN_NORMAL_DOT, Limits, find_partner
 from turtlebag.pipeline.slam.free_space import violation_shares
-from turtlebag.pipeline.slam.odometry_trust import LIE_SIGMAS, RECENT, SEVERAL, OdometryTrust
+from turtlebag.pipeline.slam.odometry_trust import CONTRADICTION_SIGMAS, RECENT, SEVERAL, OdometryTrust
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 from turtlebag.pipeline.slam.refine import linearise_pairs
 from turtlebag.pipeline.slam.track import OdometryNoise
@@ -360,14 +360,14 @@ def judged_plainly(steps, poses, seen, noise):
         if k > 0:
             first, last = max(k - RECENT, 0), k - 1
             sigma = noise.information(told[last])[0, 0] ** -0.5
-            surprising = abs(error[last][0]) > LIE_SIGMAS * sigma
+            surprising = abs(error[last][0]) > CONTRADICTION_SIGMAS * sigma
             if np.hypot(*step[:2]) > 2.0 * noise.floor and not surprising:
                 lies = 0
             along = np.zeros((3, 3))
             along[0, 0] = noise.information(told[first])[0, 0]
             longer = max(abs(told[first][0]), abs(told[first][0] + error[first][0]))
             gross = abs(error[first][0]) > GROSS * longer
-            apart = contradiction(error[first], along, seen[k]) > LIE_SIGMAS**2
+            apart = contradiction(error[first], along, seen[k]) > CONTRADICTION_SIGMAS**2
             lies += bool(surprising and gross and apart)
         said.append(lies < SEVERAL)
     return said
@@ -388,6 +388,6 @@ def test_odometry_is_judged_as_in_plain_numpy(seed):
     trust, said = OdometryTrust(noise), []
     for step, pose, saw in zip(steps, poses[1:], seen, strict=True):
         trust.judge(step, pose, saw)
-        said.append(trust.believed)
+        said.append(trust.trusted)
     assert said == judged_plainly(steps, poses[1:], seen, noise)
     assert len(set(said)) == 2

@@ -7,7 +7,7 @@ from tests.helpers.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.slam.align import STEP_INFLATION, contradiction
 from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, disbelieved, unseen_way
+from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, distrusted, unobserved_way
 from turtlebag.pipeline.slam.track import OdometryNoise, Track
 
 
@@ -19,14 +19,14 @@ def believed(*told):
     for way, seen in told:
         pose = compose(pose, np.array([0.1, 0.0, 0.0]))
         wheels.judge(np.array([way, 0.0, 0.0]), pose, seen)
-        out.append(wheels.believed)
+        out.append(wheels.trusted)
     return out
 
 
 SEES, BLIND = np.diag([1e6, 1e6, 1e6]), np.diag([0.0, 1e6, 1e6])
 
 
-def test_wheels_caught_lying_three_times_are_not_believed_until_they_tell_the_truth():
+def test_wheels_contradicted_three_times_are_distrusted_until_they_agree_again():
     lie, truth = (0.3, SEES), (0.1, SEES)
     assert believed(lie, lie, truth, lie, lie) == [True] * 5
     assert believed(lie, lie, lie, (0.3, BLIND), truth) == [True, True, False, False, True]
@@ -46,7 +46,7 @@ def test_a_turn_that_comes_late_says_nothing_of_the_way():
     for late, turn in zip(turns, turns[2:], strict=False):
         pose = compose(pose, np.array([0.1, 0.0, turn]))
         wheels.judge(np.array([0.1, 0.0, late]), pose, SEES)
-        assert wheels.believed
+        assert wheels.trusted
 
 
 def test_a_turn_on_the_spot_gives_no_trust_in_the_way_back():
@@ -56,14 +56,14 @@ def test_a_turn_on_the_spot_gives_no_trust_in_the_way_back():
         wheels.judge(np.zeros(3), pose, SEES)
     for _ in range(2):
         wheels.judge(np.array([0.0, 0.0, 0.15]), pose, SEES)
-        assert not wheels.believed
+        assert not wheels.trusted
 
 
 def test_encoders_that_freeze_are_found_out():
     assert not believed((0.1, SEES), *[(0.0, SEES)] * 6)[-1]
 
 
-def test_wheels_caught_lying_have_no_say_where_scans_see_little_either():
+def test_distrusted_wheels_count_for_nothing_where_scans_observe_little_either():
     """An odometry that stops in a corridor whose doors show a little of the way: in the graph it outweighed
     them, and the map was off by 0.7 m."""
     n = np.arange(20)
@@ -73,14 +73,14 @@ def test_wheels_caught_lying_have_no_say_where_scans_see_little_either():
     source, none = np.zeros(20, np.int8), np.zeros(20)
     track = Track(SE2(poses), n, none + 1.0, none, little, source, np.zeros((19, 3)), Calibration(), n >= 0)
     border = np.zeros(0, dtype=np.int64)
-    doubted = disbelieved(log, track, OdometryNoise(), border)
+    doubted = distrusted(log, track, OdometryNoise(), border)
     assert not doubted[:8].any()
     assert doubted[12:].all()
     # what the scans saw needs no other evidence
-    assert not unseen_way(log, track, OdometryNoise(), border).any()
+    assert not unobserved_way(log, track, OdometryNoise(), border).any()
 
 
-def unseen_way_along(step):
+def unobserved_way_along(step):
     """Metres of each step (n,) [m] that nobody saw, where the scans after the thirtieth do not see ahead."""
     n = np.arange(len(step))
     poses = np.column_stack([np.cumsum(step), 0.0 * n, 0.0 * n])
@@ -90,14 +90,14 @@ def unseen_way_along(step):
     track = Track(
         SE2(poses), n, none + 1.0, none, seen, source, np.diff(poses, axis=0), Calibration(), n >= 0
     )
-    return unseen_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64))
+    return unobserved_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64))
 
 
 def test_a_speed_that_no_scan_ever_confirmed_is_nobodys_word():
     """Wheels that spin in a bare corridor, at three times the robot's speed: 3.9 m off, and called good."""
     n = np.arange(100)
     step = np.interp(n, [40, 50, 60, 70], [0.1, 0.3, 0.3, 0.1])
-    way = unseen_way_along(step * (n > 0))
+    way = unobserved_way_along(step * (n > 0))
     np.testing.assert_allclose(way[45:66], step[45:66])
     assert not way[:39].any()
     assert not way[72:].any()
@@ -107,11 +107,11 @@ def test_wheels_that_turn_round_at_once_in_the_dark_are_not_believed_there():
     """They count backwards in a bare corridor: 5.3 m off, and called good. So are wheels that spin at
     once; those that stop may be right."""
     n = np.arange(60)
-    way = unseen_way_along(np.where((n > 40) & (n <= 50), -0.1, 0.1) * (n > 0))
+    way = unobserved_way_along(np.where((n > 40) & (n <= 50), -0.1, 0.1) * (n > 0))
     np.testing.assert_allclose(way[31:], 0.1)
     assert not way[:31].any()
-    assert unseen_way_along(np.where((n > 40) & (n <= 50), 0.3, 0.1) * (n > 0))[31:].all()
-    assert not unseen_way_along(np.where((n > 40) & (n <= 50), 0.0, 0.1) * (n > 0)).any()
+    assert unobserved_way_along(np.where((n > 40) & (n <= 50), 0.3, 0.1) * (n > 0))[31:].all()
+    assert not unobserved_way_along(np.where((n > 40) & (n <= 50), 0.0, 0.1) * (n > 0)).any()
 
 
 @pytest.mark.filterwarnings("error")
@@ -121,7 +121,7 @@ def test_a_log_of_one_scan_has_no_way_to_see():
         SE2(np.zeros((1, 3))), np.zeros(1, np.int64), one, one, BLIND[None], np.zeros(1, np.int8),
         np.zeros((0, 3)), Calibration(), one > 0,
     )  # fmt: skip
-    assert unseen_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64)).tolist() == [0.0]
+    assert unobserved_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64)).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("seed", range(4))

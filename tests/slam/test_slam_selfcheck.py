@@ -14,7 +14,7 @@ from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.occupancy import Certainty
-from turtlebag.pipeline.slam.odometry_trust import disbelieved
+from turtlebag.pipeline.slam.odometry_trust import distrusted
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.selfcheck import check_map
 from turtlebag.pipeline.slam.sessions import Graph, Session
@@ -59,7 +59,7 @@ def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, 
     track = replace(track, **changes)
     T_keys, noise = track.T_track_base[track.keys], OdometryNoise()
     if step_sigma is None:
-        steps = step_constraints(track, TrackingConfig(), disbelieved(log, track, noise, borders))
+        steps = step_constraints(track, TrackingConfig(), distrusted(log, track, noise, borders))
     else:
         steps = held(T_keys, step_sigma)
     return checked(log, clouds, track, T_keys, steps, breaks, borders, certainty).reasons
@@ -198,7 +198,7 @@ def test_places_seen_again_hold_a_stretch_that_nobody_saw(drive):
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
     track = replace(track, odometry_steps=None, information=seen)
     log, T_keys, noise = replace(log, T_odom_base=None), track.T_track_base[track.keys], OdometryNoise()
-    steps = step_constraints(track, TrackingConfig(), disbelieved(log, track, noise, NONE))
+    steps = step_constraints(track, TrackingConfig(), distrusted(log, track, noise, NONE))
     ends = [(0, k) for k in range(2, len(T_keys))]
     loops = [
         Constraint(i, j, (T_keys[i].inverse() @ T_keys[j]).xyt, 1e5 * np.eye(3), "loop") for i, j in ends
