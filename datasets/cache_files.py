@@ -46,10 +46,8 @@ def write_cached(path: Path, payload: bytes) -> bool:
 
 
 def trim_cached(folder: Path, names: re.Pattern[str], limit_bytes: int, limit_files: int) -> None:
-    """Remove the least recently used files, and what killed processes left, beyond the limits.
-
-    `names` are those of kept files; whose any other file is nobody knows, and it stays.
-    """
+    """Remove the least recently used files beyond the limits, and what killed processes left. `names` match
+    the files of the cache; any other file stays."""
     files = []
     for path in folder.glob("*"):
         if not names.fullmatch(re.sub(r"\.\d+\.\d+$", "", path.name)):

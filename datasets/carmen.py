@@ -41,7 +41,7 @@ _END_OF_TIME_S = 2.0**31
 
 
 class _Line(NamedTuple):
-    """A scan line: its readings, then the laser's and the robot's pose, (beams + 6,), and where it stands."""
+    """A scan line: its readings, then the laser's and the robot's pose, (beams + 6,), and its line number."""
 
     values: Array
     stamp_ns: int
@@ -145,11 +145,8 @@ def _parsed(kind: bytes, words: list[bytes], number: int) -> _Line:
 
 
 def _geometries(lines: list[_Line], notes: list[str]) -> list[Geometry | None]:
-    """The beams of each scan; None for one whose field of view nobody knows.
-
-    The half circle that FLASER lines leave unsaid is that of the SICK's numbers of beams, and of the most
-    frequent number.
-    """
+    """The beams of each scan; None if the field of view is unknown. FLASER lines do not give it: the half
+    circle is that of the SICK's numbers of beams, and of the most frequent number."""
     sizes = Counter(line.beams for line in lines)
     usual = sizes.most_common(1)[0][0] if sizes else 0
     known = set(sizes)

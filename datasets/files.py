@@ -101,10 +101,8 @@ def opened_plain(path: Path) -> BinaryIO:
 
 
 class FileBytes:
-    """The bytes of a file, sliced as a `bytes` object is, read as they are asked for.
-
-    Unlike a memory map it turns a file that is cut meanwhile into an InputError, not into a crash.
-    """
+    """The bytes of a file, sliced as a `bytes` object is and read on demand. Unlike with a memory map, a file
+    that is truncated meanwhile is an InputError, not a crash."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -100,7 +100,7 @@ class KernelCache(_Cache):
         return f"{called}-{made_for[:32]}.kernel"
 
     def enable(self) -> None:
-        """Look up and keep, as it is from the start."""
+        """Enable lookup and storage, which is the default."""
         self._on = True
 
     def disable(self) -> None:

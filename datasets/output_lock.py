@@ -259,7 +259,8 @@ def _hidden(path: Path) -> Path:
 
 
 def _left_over(place: Path) -> list[Path]:
-    """What an output replaced, and what killed processes left beside it: ours, and nobody works on it."""
+    """What an output replaced, and what killed processes left beside it: files of ours that no process
+    uses."""
     found = []
     for path in place.parent.iterdir():
         old = re.fullmatch(re.escape(place.name) + r"\.old-[0-9a-f]{8}", path.name) is not None

@@ -18,7 +18,7 @@ CHANGED_M, CHANGED_SHARE = 0.1, 0.25
 """A scan is a new view if this share of its beams has changed by this much since the last one, or
 started or stopped returning."""
 SEEN_SHARE = 0.9
-"""Of the views, in which such a beam returns."""
+"""Share of the views in which such a beam returns."""
 TURNS_RAD_S = 0.1
 """A robot that turns faster than this turns: left, right or not at all are three kinds of motion."""
 LEAST_VIEWS, MOST_SCANS = 20, 2000

@@ -12,8 +12,8 @@ _SCANS = 1000
 _SHARE = 0.005
 """Share of the readings that a code must have to matter."""
 _TIMES = 10
-"""A wall spreads over many ranges, a code does not: so many times as often as any range of walls nearby,
-and as all that is farther."""
+"""A wall gives many different ranges, a code only one: it is this many times as frequent as any range nearby,
+and as all longer ones together."""
 _VARIED = 50
 """Fewer different readings than this tell nothing of what walls give."""
 

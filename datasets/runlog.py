@@ -145,7 +145,7 @@ def _poses(poses: Iterable[SE2]) -> SE2:
 
 
 def _texts(column: NDArray[Any]) -> list[Any]:
-    """A column as it is written."""
+    """A column as written."""
     if column.dtype.kind == "f":
         return ["" if value != value else f"{value:.6f}" for value in column.tolist()]
     return (column.astype(np.int64) if column.dtype.kind == "b" else column).tolist()

@@ -92,7 +92,7 @@ def checked(model: type[Model], data: Any, *, where: str) -> Model:
 
 
 def _known_beside(model: type[BaseModel], loc: Sequence[int | str]) -> str:
-    """The keys there are where an unknown one stands, in words; nothing where no plain model stands there."""
+    """The known keys at the place of an unknown one, as text; empty if there is no plain model."""
     inner: Any = model
     for part in loc[:-1]:
         field = inner.model_fields.get(part)

@@ -21,17 +21,17 @@ from turtlebag.planners.grid_distance import GridDistance, descend, grid_distanc
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 SPECK_M2 = 0.06
-"""Unknown patches smaller than this inside seen floor count as free: gaps between beams (not measured)."""
+"""Unknown patches smaller than this inside known floor count as free: gaps between beams (not measured)."""
 SNAP_M = 0.35
-"""How far from a robot, or a goal, that is too close to an obstacle its way may begin, or end.
-
-Not measured."""
+"""If the robot or the goal is too close to an obstacle, its path may start or end up to this far away. Not
+measured."""
 COST_SCALING = 3.0
-"""How fast inflated costs fade [1/m]: turtlebot3's for costmap_2d."""
+"""Rate at which inflated costs decay [1/m]: turtlebot3's for costmap_2d."""
 INSCRIBED_COST = 253
-"""costmap_2d's cost of a place that the robot's inscribed disc may not enter."""
+"""costmap_2d's cost of a cell that the robot's inscribed disc may not enter."""
 TOUCH = 1e-6
-"""A share of a cell: an outline along a border, but for rounding, reaches the cells on both sides of it."""
+"""Tolerance as a share of a cell: an outline along a border reaches the cells on both sides, but for
+rounding."""
 
 
 class CostmapConfig(Settings, allow_inf_nan=False):
@@ -82,15 +82,15 @@ class Costmap:
         return np.where(inside, self.clearance[cells[..., 0], cells[..., 1]], 0.0).astype(np.float64)
 
     def with_lethal(self, extra: Mask) -> Costmap:
-        """The same map with more lethal cells."""
+        """The map with more lethal cells."""
         keepout = None if self.keepout is None else self.keepout & ~extra
         return Costmap(self.lethal | extra, self.resolution, self.T_map_grid, keepout)
 
     def with_way_out(self, T_map_base: SE2, radius: float) -> Costmap:
-        """The same map; a disc of `radius` [m] that is in a keep-out area may take the shortest way out.
+        """The map, with a way out for a disc of `radius` [m] that is in a keep-out area: the shortest one.
 
-        A robot that did not know where it was, or was carried, may stand in one. The way is as wide again as
-        the disc, so that a controller that keeps its distance follows it.
+        A robot that did not know its pose, or was carried, may be in one. The way is twice as wide as the
+        disc, so that a controller that keeps its distance follows it.
         """
         if self.keepout is None:
             return self
@@ -119,10 +119,8 @@ def clearance_field(lethal: Mask, resolution: float) -> NDArray[np.float32]:
 
 
 def inflated_cost(room: Any, scaling: float) -> Any:
-    """costmap_2d's cost outside of obstacles: 252 at the inscribed disc's border, fading to 0.
-
-    `room` is the clearance less the inscribed radius [m], a number or an array; `scaling` is per metre.
-    """
+    """costmap_2d's cost outside of obstacles: 252 at the inscribed disc's border, decaying to 0. `room` is
+    the clearance minus the inscribed radius [m], a number or an array; `scaling` is per metre."""
     return (INSCRIBED_COST - 1.0) * np.exp(-scaling * np.maximum(room, 0.0))
 
 
@@ -157,11 +155,12 @@ def _unknown_without_specks(grid: OccupancyGrid) -> Mask:
 
 
 def nearest_free(free: Mask, xy: Array, reach: float) -> tuple[int, int] | None:
-    """The free cell under a point (x, y), or else the nearest one, all in cells; None: none within reach."""
+    """The free cell under a point (x, y), or else the nearest one, all in cells; None if none is within
+    reach."""
     col, row = (int(v) for v in np.floor(xy))
     if 0 <= row < free.shape[0] and 0 <= col < free.shape[1] and free[row, col]:
         return row, col
-    # No cell further off can be within reach.
+    # No cell farther away can be within reach.
     first, last = np.maximum([row - reach, col - reach], 0), np.maximum([row + reach + 2, col + reach + 2], 0)
     (r0, c0), (r1, c1) = first.astype(int), last.astype(int)
     cells = np.argwhere(free[r0:r1, c0:c1]) + np.array([r0, c0])
@@ -173,10 +172,8 @@ def nearest_free(free: Mask, xy: Array, reach: float) -> tuple[int, int] | None:
 
 
 def ways_from(costmap: Costmap, T_map_base: SE2, radius: float) -> GridDistance | None:
-    """How far each cell is from a pose for a disc of `radius` [m], along the floor [m]; inf: out of reach.
-
-    None where the robot stands too near an obstacle.
-    """
+    """Distance of each cell from a pose over the floor, for a disc of `radius` [m], [m]; inf if unreachable.
+    None if the robot is too close to an obstacle."""
     costmap = costmap.with_way_out(T_map_base, radius)
     free, res = costmap.clearance > radius, costmap.resolution
     start = nearest_free(free, costmap.T_grid_map @ T_map_base.xy / res, SNAP_M / res)
@@ -186,9 +183,9 @@ def ways_from(costmap: Costmap, T_map_base: SE2, radius: float) -> GridDistance 
 def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:
     """Cells of a polygon (even-odd rule) with (n, 2) corners in the map frame.
 
-    Those whose centre lies in it; where it is too narrow to hold four neighbouring centres, every cell
-    that it reaches into, so that a strip thinner than a cell is whole. Thus each point of the polygon is
-    in a cell of the mask, or in one beside a block of 2 x 2 of them.
+    These are the cells whose centre lies in it; where it is too narrow to hold four neighbouring centres,
+    every cell that it touches, so that a strip thinner than a cell has no holes. So each point of the polygon
+    is in a cell of the mask, or next to a block of 2 x 2 of them.
     """
     corners = costmap.T_grid_map @ np.asarray(polygon_map, dtype=np.float64) / costmap.resolution
     rows, cols = costmap.lethal.shape

@@ -19,9 +19,9 @@ Field32 = NDArray[np.float32]
 
 
 HALF_DIAGONAL = math.sqrt(0.5)
-"""No point of a cell is farther from its centre, in cells."""
+"""Largest distance of a point of a cell from its centre, in cells."""
 PITCH_M = 0.03
-"""How far points of the footprint may be apart: less than a cell."""
+"""Spacing of the footprint's points: less than a cell."""
 
 
 class FootprintSamples(NamedTuple):
@@ -147,9 +147,9 @@ def _inside(corners: Array, x: float, y: float) -> bool:
 def disc_segment_free(
     field: Field32, resolution: float, radius: float, x0: float, y0: float, x1: float, y1: float
 ) -> bool:
-    """Whether a disc moves straight from (x0, y0) to (x1, y1) with every clearance over `radius`.
+    """Whether a disc can move straight from (x0, y0) to (x1, y1) with clearance above `radius` throughout.
 
-    Steps by what the field itself proves free, and by half a cell at least.
+    Each step is as long as the field proves free, and at least half a cell.
     """
     length = math.hypot(x1 - x0, y1 - y0)
     if field_at(field, resolution, x1, y1) <= radius:

@@ -16,9 +16,9 @@ from turtlebag.planners.footprint import Field32, footprint_free
 
 
 class Ground(NamedTuple):
-    """A clearance field [m], its resolution, and who moves there.
+    """A clearance field [m], its resolution, and the footprint that moves there.
 
-    `corners` (n, 2) is the footprint in the base frame, grown by the room it shall keep [m].
+    `corners` (n, 2) is the footprint in the base frame, grown by the required margin [m].
     """
 
     field: Field32
@@ -31,15 +31,15 @@ Pose = tuple[float, float, float]
 
 @njit(cache=True)
 def moves(ground: Ground, a: Pose, b: Pose) -> bool:
-    """Whether the footprint goes straight from one pose to another while it turns the shorter way."""
+    """Whether the footprint can move straight from one pose to another while turning the shorter way."""
     return _free(ground, a, b[0] - a[0], b[1] - a[1], (b[2] - a[2] + math.pi) % (2.0 * math.pi) - math.pi)
 
 
 @njit(cache=True)
 def _free(ground: Ground, a: Pose, dx: float, dy: float, angle: float) -> bool:
-    """Whether the footprint goes straight from a pose by (dx, dy) while it turns by an angle.
+    """Whether the footprint can move straight from a pose by (dx, dy) while turning by an angle.
 
-    From one check to the next no corner goes farther than half a cell.
+    Between two checks no corner moves farther than half a cell.
     """
     field, res, corners = ground
     way = math.hypot(dx, dy) + abs(angle) * math.sqrt((corners**2).sum(axis=1).max())
@@ -53,13 +53,14 @@ def _free(ground: Ground, a: Pose, dx: float, dy: float, angle: float) -> bool:
 
 @njit(cache=True)
 def drives(ground: Ground, a: Array, b: Array, yaw: float) -> bool:
-    """Whether the footprint moves straight from a to b (2,) in one heading."""
+    """Whether the footprint can move straight from a to b (2,) in one heading."""
     return moves(ground, (a[0], a[1], yaw), (b[0], b[1], yaw))
 
 
 @njit(cache=True)
 def turning(ground: Ground, at: Array, old: float, new: float) -> float:
-    """The free angle from one heading to another on the spot, the shorter one first; NaN: neither is."""
+    """The free turn on the spot from one heading to another, the shorter way first; NaN if neither is
+    free."""
     if np.isnan(old) or np.isnan(new):
         return 0.0
     short = (new - old + math.pi) % (2.0 * math.pi) - math.pi
@@ -71,7 +72,8 @@ def turning(ground: Ground, at: Array, old: float, new: float) -> float:
 
 @njit(cache=True)
 def turns(ground: Ground, at: Array, old: float, new: float) -> bool:
-    """Whether the footprint turns on the spot from one heading to another, either way; NaN: any heading."""
+    """Whether the footprint can turn on the spot from one heading to another, either way; NaN is any
+    heading."""
     return not np.isnan(turning(ground, at, old, new))
 
 
@@ -79,8 +81,8 @@ def turns(ground: Ground, at: Array, old: float, new: float) -> bool:
 def pull(ground: Ground, path: Array, first_yaw: float, last_yaw: float) -> tuple[Array, Array]:
     """The longest straight drives along a dense polyline (n, 2), forwards or else backwards.
 
-    Corners (m, 2) and the headings (m - 1,) between them. The robot turns at the corners, from `first_yaw`
-    and to `last_yaw` at the ends; NaN there is any heading.
+    Returns corners (m, 2) and the headings (m - 1,) between them. The robot turns at the corners, from
+    `first_yaw` at the start and to `last_yaw` at the end; NaN there is any heading.
     """
     kept, yaws = np.empty_like(path), np.empty(len(path))
     kept[0] = path[0]
@@ -102,7 +104,8 @@ def pull(ground: Ground, path: Array, first_yaw: float, last_yaw: float) -> tupl
 
 @njit(cache=True)
 def _straight(ground: Ground, path: Array, at: int, target: int, yaw: float, last_yaw: float) -> float:
-    """The heading in which the robot gets from one point to another and on from there; NaN: in none."""
+    """The heading in which the robot can drive from one point to another and continue from there; NaN if
+    there is none."""
     ahead = math.atan2(path[target, 1] - path[at, 1], path[target, 0] - path[at, 0])
     for way in (ahead, ahead + math.pi):
         if (
@@ -125,10 +128,10 @@ def _goes_on(ground: Ground, path: Array, at: int, yaw: float, last_yaw: float) 
 
 @njit(cache=True)
 def free_from(ground: Ground, poses: Array) -> int:
-    """The first of the poses (n, 3) from which a path is free to its end; n when its goal is not.
+    """The first of the poses (n, 3) from which the path is free to its end; n if the goal is not free.
 
-    Each piece is driven in the heading of its own line, the way round that is nearer to its pose's yaw;
-    the robot turns on the spot into it.
+    Each piece is driven in the heading of its own line, forwards or backwards, whichever is nearer to its
+    pose's yaw; the robot turns on the spot into it.
     """
     n = len(poses)
     after = poses[n - 1, 2]

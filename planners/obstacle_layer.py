@@ -14,24 +14,24 @@ from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.distance_transform import distance_field
 
 NEVER = -math.inf
-"""Stamp [s] of a cell in which nothing was seen."""
+"""Stamp [s] of a cell without a mark."""
 REACH_M = 1.2
-"""How far round obstacles seen the clearance is computed anew: more room than that nobody asks for."""
+"""Clearance is updated up to this distance from marked obstacles: larger values are not needed."""
 
 
 class Marking(NamedTuple):
-    """What marks a cell, and how soon a mark counts; names as in costmap_2d, where it has them; SI units."""
+    """When a cell is marked, and when a mark counts; names as in costmap_2d, where it has them; SI units."""
 
     obstacle_range: float = 2.5
-    """Beams that end beyond this mark nothing."""
+    """Beams that end farther away do not mark."""
     known: float = 0.14
-    """A beam that ends this near an obstacle of the map shows nothing new."""
+    """A beam that ends this near an obstacle of the map does not mark."""
     decay: float = 8.0
-    """Seconds after which a mark that was not seen again is forgotten."""
+    """Seconds after which a mark expires unless it is seen again."""
     hits: int = 2
     """Sweeps that must hit a cell within `decay` before it counts: a single one may be noise."""
     replan_s: float = 1.0
-    """A path that is blocked is planned anew no more often than this."""
+    """Least time between two plans while the path is blocked."""
 
 
 ON_MAP = Marking()
@@ -41,9 +41,9 @@ class ObstacleLayer:
     """Obstacles that the lidar sees, over a static costmap of the same grid."""
 
     costmap: Costmap
-    """The static map with the obstacles seen up to the last update."""
+    """The static map with the marked obstacles of the last update."""
     marked: int
-    """Number of cells with an obstacle seen."""
+    """Number of marked cells."""
 
     def __init__(self, static: Costmap, marking: Marking = ON_MAP) -> None:
         self.marking = marking
@@ -56,10 +56,8 @@ class ObstacleLayer:
         self._show(np.zeros(shape, dtype=bool))
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
-        """Take in a sweep: end points (n, 2) of beams that hit, and of those that met nothing, map frame.
-
-        `origin` is the lidar's pose in the map frame.
-        """
+        """Add a sweep: end points (n, 2) of beams that hit, and of beams without return, map frame. `origin`
+        is the lidar's pose in the map frame."""
         static, c = self.static, self.marking
         x, y = (static.T_grid_map @ origin.xy).tolist()
         ends = static.T_grid_map @ np.concatenate([hits, passes])
@@ -76,12 +74,12 @@ class ObstacleLayer:
             self._show(self._marks)
 
     def aim(self, pose: SE2, goal: SE2, radius: float) -> SE2:
-        """Where to plan to on the way from a pose to a goal: on a map, the goal itself."""
+        """The pose to plan to on the way from a pose to a goal: on a map, the goal itself."""
         del pose, radius
         return goal
 
     def stands_in(self, goal: SE2) -> bool:
-        """Whether something else is planned to in the goal's place for now: on a map, never."""
+        """Whether the plan currently ends elsewhere than at the goal: on a map, never."""
         del goal
         return False
 
@@ -96,7 +94,7 @@ class ObstacleLayer:
         self.costmap = self._combined(marked) if self.marked else self.static
 
     def _combined(self, marked: Mask) -> Costmap:
-        """The lesser of both clearances: exact within REACH_M of the cells marked, and so everywhere."""
+        """The smaller of both clearances: exact within REACH_M of marked cells, and so everywhere."""
         static = self.static
         rows, cols = np.flatnonzero(marked.any(axis=1)), np.flatnonzero(marked.any(axis=0))
         pad = math.ceil(REACH_M / static.resolution)
@@ -104,10 +102,10 @@ class ObstacleLayer:
             slice(max(rows[0] - pad, 0), rows[-1] + pad + 1),
             slice(max(cols[0] - pad, 0), cols[-1] + pad + 1),
         )
-        # Of one layout, or it would be compiled once more.
+        # One array layout only, because another would be compiled separately.
         near = distance_field(np.ascontiguousarray(marked[window]), static.resolution)
         clearance = static.clearance.copy()
-        # Beyond the reach a marked obstacle's distance is cut short on purpose: nothing is that near.
+        # Beyond REACH_M the distance to a marked obstacle is deliberately capped: nothing is that near.
         np.minimum(clearance[window], near, out=clearance[window])
         combined = static.with_lethal(marked)
         combined.__dict__["clearance"] = clearance
@@ -134,7 +132,8 @@ def _mark_and_clear(
     beams: Beams,
     now_s: float,
 ) -> None:
-    """Walk each beam in half-cell steps, clearing; then mark where it ended, unless the map knows it."""
+    """Walk along each beam in half-cell steps and clear; then mark its end, unless it is an obstacle of the
+    map."""
     rows, cols = seen.shape
     x, y, ends, n_hits, obstacle_range, known = beams
     for k in range(len(ends)):

@@ -21,17 +21,17 @@ from turtlebag.planners.planner_names import PlannerName
 ROADMAPS = ("PRM", "PRMstar")
 IMPOSSIBLE = {
     ("AORRTC", "dubins"): "crashes",
-    # Its batches of better states are found by rejection, which no termination condition ends.
+    # Its batches of better states are found by rejection sampling, which no termination condition ends.
     ("SORRTstar", "reeds_shepp"): "may never terminate",
     ("SORRTstar", "dubins"): "may never terminate",
 }
 """Planners that do not work in a space (OMPL 2.0.1)."""
 GOOD_ENOUGH = 1.02
-"""Length over that of the tightened way over the cells, or of the straight line between two poses, with which
-OMPL is content."""
+"""Ratio to the length of the tightened grid path, or of the straight line between two poses, at which OMPL
+may stop."""
 RANGE_M = 1.5
-"""Longest motion of the tree planners; by OMPL's own, RRTConnect's ways with headings are 1.19 times the
-shortest for 1.05."""
+"""Longest motion of the tree planners; with OMPL's own, RRTConnect's paths with headings are 1.19 times the
+shortest instead of 1.05."""
 
 
 Space = Literal["disc", "se2", "reeds_shepp", "dubins"]
@@ -63,7 +63,7 @@ class OmplConfig(Settings, allow_inf_nan=False):
 
 @dataclass(frozen=True, eq=False)
 class DiscFloor:
-    """Where a disc of `radius` [m] may go: a clearance field [m], and the cells (rows, cols) to search."""
+    """The space of a disc of `radius` [m]: a clearance field [m], and the cells (rows, cols) to search."""
 
     field: Field32
     resolution: float
@@ -76,7 +76,7 @@ def solve(
 ) -> Array | None:
     """Corner points (n, 2) of an exact path for a disc in the grid frame, or None within the budget.
 
-    A planner that improves its path goes on until it is no longer than `enough` [m].
+    A planner that improves its path continues until it is at most `enough` [m] long.
     """
     from ompl import base as ob
     from ompl import util as ou
@@ -105,10 +105,10 @@ def solve(
 
 
 def set_goal_length(info: Any, problem: Any, enough: float) -> None:
-    """Ask for the shortest path, and be content with this length.
+    """Make path length the objective, with this length as sufficient.
 
-    At least a little more than the straight line: SORRTstar draws for ever from an empty set of better states
-    once it has found that.
+    At least a little more than the straight line, because SORRTstar samples an empty set of better states
+    forever once it has found that.
     """
     from ompl import base as ob
 
@@ -118,7 +118,7 @@ def set_goal_length(info: Any, problem: Any, enough: float) -> None:
 
 
 def exact_path(info: Any, problem: Any, start: Any, config: OmplConfig) -> Any | None:
-    """OMPL's path that joins start and goal, or None within the budget."""
+    """OMPL's path from start to goal, or None within the budget."""
     planner = make_planner(info, config)
     planner.setProblemDefinition(problem)
     planner.setup()
@@ -130,10 +130,8 @@ def exact_path(info: Any, problem: Any, start: Any, config: OmplConfig) -> Any |
 
 
 def _with_start(info: Any, problem: Any, start: Any) -> Any | None:
-    """The solution, its start put in front where the planner left it out; None when it is not joined.
-
-    AORRTC says the goal twice when it is in sight.
-    """
+    """The solution, with the start prepended if the planner left it out; None if it does not reach the start.
+    AORRTC repeats the goal when it is in sight."""
     path = problem.getSolutionPath()
     first = path.getStates()[0]
     if info.distance(start, first) > 0.0:
@@ -144,10 +142,10 @@ def _with_start(info: Any, problem: Any, start: Any) -> Any | None:
 
 
 def _path_on_roadmap(planner: Any, problem: Any, iterations: int) -> Any | None:
-    """PRM without its second thread, which asks the termination condition and so waits for Python for ever.
+    """PRM without its second thread, which calls the termination condition and so waits for Python forever.
 
-    `solve` with a condition that is true from the start only takes in start and goal, and at its end
-    looks for the way on the roadmap that comes nearest to the goal: one that misses it by nothing is exact.
+    `solve` with a condition that is true from the start only adds start and goal, and finally takes the
+    roadmap's path that comes nearest to the goal: one that ends at it is exact.
     """
     from ompl import base as ob
 

@@ -18,15 +18,15 @@ from turtlebag.planners.obstacle_layer import NEVER, Marking, ObstacleLayer
 from turtlebag.planners.planner import NoPath
 
 RIM_M = 0.8
-"""Places to make for lie this far inside the window: its edge counts as an obstacle (not measured)."""
+"""Intermediate goals lie this far inside the window: its edge counts as an obstacle (not measured)."""
 
 
 IN_WINDOW = Marking(known=0.0, decay=60.0, obstacle_range=6.0, replan_s=0.3)
-"""Nothing is known before, and there is always something new to see."""
+"""No static map, and always something new to see."""
 
 
 class RollingLayer(ObstacleLayer):
-    """Obstacles seen, in a square window in the odometry frame, moved by whole cells."""
+    """Marked obstacles in a square window in the odometry frame, which moves by whole cells."""
 
     def __init__(
         self, centre: Array, side: float, resolution: float, shift: float, marking: Marking = IN_WINDOW
@@ -38,14 +38,14 @@ class RollingLayer(ObstacleLayer):
         super().__init__(_free_floor(corner, cells, resolution), marking)
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
-        """Move the window if need be, then take in a sweep as an obstacle layer does."""
+        """Move the window if necessary, then add a sweep as an obstacle layer does."""
         self._move_to(origin.xy)
         super().update(now_s, origin, hits, passes)
 
     def aim(self, pose: SE2, goal: SE2, radius: float) -> SE2:
-        """The goal, or the place at the rim on the shortest way to it for a disc of `radius` [m].
+        """The goal, or the place at the window's edge on the shortest way to it for a disc of `radius` [m].
 
-        Beyond the rim the way is taken to be straight. Raises NoPath when no such place can be reached.
+        Beyond the edge, the way is assumed to be straight. Raises NoPath if no such place can be reached.
         """
         if not self._beyond(goal):
             return goal
@@ -64,7 +64,7 @@ class RollingLayer(ObstacleLayer):
         return SE2.from_xyt(place[0], place[1], math.atan2(ahead[1], ahead[0]))
 
     def stands_in(self, goal: SE2) -> bool:
-        """Whether the way to the goal is only planned as far as the rim."""
+        """Whether the plan ends at the edge of the window."""
         return self._beyond(goal)
 
     def _beyond(self, goal: SE2) -> bool:
@@ -72,7 +72,7 @@ class RollingLayer(ObstacleLayer):
         return bool(np.any(xy < RIM_M) or np.any(xy > self.static.size[0] - RIM_M))
 
     def _move_to(self, xy: Array) -> None:
-        """Shift what is remembered so that the window's centre is within reach of a point again."""
+        """Shift the window so that its centre is within reach of a point again."""
         res, cells = self.static.resolution, len(self._seen)
         off = np.floor((self.static.T_grid_map @ xy) / res).astype(int) - cells // 2
         if np.abs(off).max() <= self._shift_cells:
@@ -85,13 +85,13 @@ class RollingLayer(ObstacleLayer):
 
 
 def _free_floor(corner: Array, cells: int, resolution: float) -> Costmap:
-    """Floor of which nothing is known, free for all that; `corner` (x, y) in cells."""
+    """Unknown floor, which counts as free; `corner` (x, y) in cells."""
     x, y = (corner * resolution).tolist()
     return Costmap(np.zeros((cells, cells), dtype=bool), resolution, SE2.from_xyt(x, y, 0.0))
 
 
 def _shifted(values: NDArray[Any], rows: int, cols: int, empty: float) -> NDArray[Any]:
-    """`values` seen from a window moved by (rows, cols); what comes in is `empty`."""
+    """`values` of a window moved by (rows, cols); new cells are `empty`."""
     n, out = len(values), np.full_like(values, empty)
     to_r, to_c = slice(max(-rows, 0), min(n - rows, n)), slice(max(-cols, 0), min(n - cols, n))
     of_r, of_c = slice(max(rows, 0), min(n + rows, n)), slice(max(cols, 0), min(n + cols, n))

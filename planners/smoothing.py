@@ -66,8 +66,8 @@ def densify(path: Array, spacing: float) -> Array:
 class Band(NamedTuple):
     """How an elastic band pulls and pushes.
 
-    Each point is drawn to its neighbours' middle (`pull`) and, nearer than `reach` [m] to an obstacle, up
-    the clearance's gradient (`push`) by the inflated cost exp(-fade * (d - radius)), measured from its value
+    Each point is drawn to the middle of its neighbours (`pull`) and, nearer than `reach` [m] to an obstacle,
+    up the clearance's gradient (`push`) by the inflated cost exp(-fade * (d - radius)), relative to its value
     at `reach`.
     """
 
@@ -80,10 +80,8 @@ class Band(NamedTuple):
 
 @njit(cache=True)
 def relax(field: Field32, resolution: float, radius: float, path: Array, band: Band) -> Array:
-    """Elastic band (Quinlan and Khatib 1993) over a dense polyline (n, 2), its ends held.
-
-    A move that brings a point to `radius` is not made.
-    """
+    """Elastic band (Quinlan and Khatib 1993) over a dense polyline (n, 2) with fixed ends. A move that brings
+    a point to `radius` is not made."""
     reach, fade, pull, push, sweeps = band
     out = path.copy()
     h = resolution
@@ -113,7 +111,7 @@ def path_length(points: Array) -> float:
 
 
 def with_headings(points: Array, start_yaw: float, goal_yaw: float) -> SE2:
-    """Poses along a polyline (n, 2): each looks along the way to come; start and goal keep their yaw."""
+    """Poses along a polyline (n, 2), each heading along the path; start and goal keep their yaw."""
     yaw = np.empty(len(points))
     steps = np.diff(points, axis=0)
     yaw[:-1] = np.arctan2(steps[:, 1], steps[:, 0])

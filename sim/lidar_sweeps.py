@@ -37,12 +37,9 @@ Lidar = TypeVar("Lidar", bound=Head)
 
 
 class Sweep(Generic[Lidar]):
-    """The lidar, and the turn that it is in.
-
-    Collects the poses of the control steps and measures whenever a turn is complete. The first turn begins at
-    step `first`, each further one where the last one ended. A lidar that is not `turning` takes all its
-    beams at once, every so many steps.
-    """
+    """A lidar and its current turn. Collects the poses of the control steps and measures whenever a turn is
+    complete. The first turn begins at step `first`, each further one where the last one ended. A lidar that
+    is not `turning` takes all its beams at once, at a fixed interval of steps."""
 
     def __init__(self, lidar: Lidar, steps: int, first: int = 0, *, turning: bool = True) -> None:
         self.lidar, self._steps, self._turning = lidar, steps, turning

@@ -164,7 +164,7 @@ class Physics:
         bullet.resetBaseVelocity(body, speed, [0.0, 0.0, 0.0], physicsClientId=self._client)
 
     def drop(self, solid: Solid) -> None:
-        """One more standing solid; its number follows on those of all others."""
+        """Add a static solid; its number follows those of all others."""
         self._solid_of[create_body(solid, self._client)] = len(self._solids)
         self._solids.append(solid)
 

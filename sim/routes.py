@@ -183,7 +183,7 @@ def random_goals(planner: RoutePlanner, rng: np.random.Generator, length: float)
 
 
 def square(planner: RoutePlanner) -> Array:
-    """Twice round a square of 2 m: what there is to do where nothing stands."""
+    """Twice round a square of 2 m: the route of an empty world."""
     corners = np.array([[2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]] * 2)
     return SE2(planner.world.spawn.xyt) @ corners
 

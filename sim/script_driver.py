@@ -151,7 +151,7 @@ class Driver:
         return (yield from self._stand(truth))
 
     def _stand(self, truth: Truth) -> Action:
-        """Let go until the robot stands."""
+        """Command zero until the robot stands still."""
         for _ in range(30):
             truth = yield Twist()
             if abs(truth.twist.v) < 0.002 and abs(truth.twist.w) < 0.005:

@@ -25,7 +25,7 @@ class Surroundings:
     """The solids of a world, what was dropped since, and what moves, for one robot."""
 
     moving: Sections
-    """What moves and the robot can touch, where it stands now; another object once it has moved."""
+    """The moving solids that the robot can touch, at their current places; replaced when one has moved."""
 
     def __init__(self, world: World, robot: RobotSpec, seed: int) -> None:
         self._world, self._robot = world, robot

@@ -21,11 +21,9 @@ Decoded = TypeVar("Decoded")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdometryColumns:
-    """nav_msgs/Odometry of one topic: `kept` are the indices of the messages that could be decoded.
-
-    Where several robots or nodes write to it, those of the most frequent frames; `others` says how many
-    of which are left out.
-    """
+    """nav_msgs/Odometry of one topic: `kept` are the indices of the messages that could be decoded. If
+    several robots or nodes write to it, only the most frequent frames are kept; `others` counts the rest by
+    frame."""
 
     stamps_ns: Stamps
     xyt: Array

@@ -115,8 +115,8 @@ def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Traj
 
 
 def without_repeats(odometry: Trajectory, name: str, notes: list[str]) -> Trajectory:
-    """The poses without those that a driver sends again and again until it has a new one: the robot moved
-    evenly from one to the next, and did not stand still and jump. Where it stands for longer they stay."""
+    """The poses without those that a driver repeats until it has a new one: the robot moved evenly between
+    new poses, rather than standing still and jumping. During a longer standstill, repeated poses are kept."""
     new = np.append(True, (np.diff(odometry.poses.xyt, axis=0) != 0.0).any(axis=1))
     first = np.flatnonzero(new)
     # the last run has no end; a robot that hardly moves says nothing of how often a pose is sent

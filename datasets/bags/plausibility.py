@@ -19,7 +19,7 @@ CLOCK_NS = 1_000_000_000
 _FAST = 50.0
 """No wheeled robot drives as fast [m/s]: 5 cm/s in millimetres are."""
 _LONG_M = 50.0
-"""Not nine readings in ten are as long [m]: those of every room are, in millimetres."""
+"""At most nine readings in ten are as long as this [m]; in millimetres, those of every room are."""
 _LARGEST_LIMIT_M = 1000.0
 """No planar lidar sees as far [m]; its limits are in millimetres too."""
 _STEP_NS = 1_000_000_000

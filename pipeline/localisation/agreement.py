@@ -9,23 +9,24 @@ from __future__ import annotations
 
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
-# Two places whose agreement, a share of the beams, differs by less than the one look alike, by more than the
-# other clearly different: a scan of a place agrees with its map to within some hundredths. How many exactly
-# is not measured.
+# Two places look alike if their agreement, a share of the beams, differs by less than the first, and are
+# clearly different if it differs by more than the second: a scan agrees with the map of its place to a few
+# hundredths. The exact numbers are not measured.
 ALIKE, DIFFERENT = 0.05, 0.1
-# Agreement of scan and map at the right place, before anything was seen: where both averages start.
-# From 1 on, a robot carried off in the house is found after 3, 1, 6 and 1 s in place of 1, 1, 0 and 1.
+# Agreement of scan and map at the right place before the first scan: the start of both averages. From 1 on, a
+# robot kidnapped in the house is found after 3, 1, 6 and 1 s instead of 1, 1, 0 and 1.
 NOMINAL_AGREEMENT = 0.8
-# So large a share of the beams that fits no more is a doubt; less is people and boxes in view. Random
-# particles are mixed in from this share on; a single scan so far below the usual speaks against the estimate.
+# A drop of the agreement by this share of the beams is a reason for doubt; a smaller one is people and boxes
+# in view. Random particles are mixed in from this share on; a single scan this far below the usual agreement
+# contradicts the estimate.
 DOUBTFUL = 0.25
-# One scan may be noise: so many in a row are none, and so many settle a thing (not measured).
+# A single scan may be noise: this many in a row are not, and this many settle a question (not measured).
 DOUBTS, SETTLING = 2, 6
-# Filter updates, or scans, from one search in vain to the next at most; with 64, or 24 where the agreement
-# has faded, 13 episodes of lost robots are found in the same times.
+# The most filter updates, or scans, from one unsuccessful search to the next; with 64, or 24 where the
+# agreement has faded, 13 episodes of lost robots are found in the same times.
 LONGEST_PAUSE = 32
-# Agreement below this part of the best so far is worth a second look: without it, a robot that was carried
-# off in the house noticed later and was at its goal after 94 s in place of 71 s.
+# An agreement below this share of the best so far is a reason for another search: without it, a robot
+# kidnapped in the house noticed later and was at its goal after 94 s instead of 71 s.
 FADED = 0.9
 
 
@@ -34,7 +35,7 @@ class AgreementWatch:
 
     def __init__(self, config: AmclConfig, *, anywhere: bool = False) -> None:
         self.anywhere = anywhere
-        """A global start: the robot may be anywhere, and no scan has been explained yet."""
+        """After a global start the robot may be anywhere, and no scan has been explained yet."""
         self.updates = 0
         self.slow = NOMINAL_AGREEMENT
         self.fast = 0.0 if anywhere else NOMINAL_AGREEMENT
@@ -44,7 +45,7 @@ class AgreementWatch:
         self._next_search, self._pause = 0, 1
 
     def update(self, agreement: float) -> None:
-        """Take in the agreement 0..1 of a scan at the new estimate."""
+        """Add the agreement 0..1 of a scan at the new estimate."""
         self.slow += self._config.recovery_alpha_slow * (agreement - self.slow)
         self.fast += (1.0 if self.anywhere else self._config.recovery_alpha_fast) * (agreement - self.fast)
         self.anywhere = self.anywhere and agreement == 0.0
@@ -52,23 +53,24 @@ class AgreementWatch:
         self.updates += 1
 
     def contradicted_by(self, agreement: float) -> bool:
-        """Whether a scan of this agreement speaks against the estimate."""
+        """Whether a scan with this agreement contradicts the estimate."""
         return agreement < (1.0 - DOUBTFUL) * self.slow
 
     def random_share(self) -> float:
-        """Share of random particles: how far the agreement of late is below that of long."""
+        """Share of random particles: how far the fast average of the agreement is below the slow one."""
         if self._config.recovery_alpha_slow <= 0.0:
             return 0.0
         share = 1.0 - self.fast / self.slow
         return share if share >= DOUBTFUL else 0.0
 
     def search_share(self) -> float:
-        """Share of particles to draw from a search now: all at a global start, then now and then while lost.
+        """Share of particles to draw from a search now: all after a global start, then at intervals while
+        lost.
 
-        A search that did not help is not repeated at once: the pause doubles, so a place that does not
-        look like the map (a moved wardrobe) does not cost a search every scan. Where nothing seems wrong
-        but scans agree less than they once did, a second look is taken now and then: in the alias of a
-        place almost all agrees, and only a search shows that the other one agrees better.
+        After an unsuccessful search the interval doubles, so that a place that does not look like the map (a
+        moved wardrobe) does not cost a search per scan. Where nothing seems wrong but scans agree less than
+        they once did, there is another search now and then: at an alias of the true place almost everything
+        agrees, and only a search shows that the true one agrees better.
         """
         if self.anywhere:
             return 1.0

@@ -40,7 +40,7 @@ class _Cloud:
 
 @dataclass
 class _Located:
-    """Where the robot is: odometry at the last update, and what the cloud said then; None before."""
+    """The last update: odometry, and the estimate of the cloud then; None before."""
 
     T_odom_base: SE2 | None = None
     T_map_odom: SE2 | None = None
@@ -65,7 +65,7 @@ class Amcl:
         self.search = global_search(grid, lidar, config)
         """How well the map explains a scan from any pose."""
         self.searches = 0
-        """How often poses from a search over the whole map were taken in."""
+        """How often poses from a search over the whole map were used."""
         self.beams: Beams | None = None
         """The scan of the last update; None before the first."""
         self.watch = AgreementWatch(config)
@@ -123,26 +123,26 @@ class Amcl:
 
     @property
     def agreement(self) -> float:
-        """Share of the scans of late that the map explains at the estimate, 0 to 1."""
+        """Share 0..1 of recent scans that the map explains at the estimate."""
         return self.watch.fast
 
     @property
     def agrees(self) -> bool:
-        """Whether the scans of late agree with the map at the estimate as well as those of long."""
+        """Whether recent scans agree with the map at the estimate as well as earlier ones."""
         return self.watch.random_share() == 0.0
 
     @property
     def lost(self) -> bool:
-        """Whether the cloud is wide or the scans have stopped to agree with the map at its place."""
+        """Whether the cloud is wide, or scans no longer agree with the map at the estimate."""
         return not (self.converged and self.agrees)
 
     def initialise(
         self, T_map_base: SE2, covariance: Array | None = None, T_odom_base: SE2 | None = None
     ) -> None:
-        """Draw the cloud about a pose estimate (covariance (3, 3), default: initial_cov_*).
+        """Draw the cloud around a pose estimate (covariance (3, 3), default: initial_cov_*).
 
-        With `T_odom_base`, the odometry now, `T_map_odom` is set at once; otherwise the pose is taken
-        to hold at the next scan.
+        With `T_odom_base`, the current odometry, `T_map_odom` is set at once; otherwise the pose is that of
+        the next scan.
         """
         c = self.config
         if covariance is None:
@@ -155,18 +155,17 @@ class Amcl:
             self._at = _Located(T_odom_base, T_map_base @ T_odom_base.inverse())
 
     def initialise_globally(self) -> None:
-        """Forget every pose: the next scan is compared with the whole free space."""
+        """Forget the pose: the next scan is compared with the whole free space."""
         poses = self.search.uniform(self.config.max_particles, self._rng)
         self._restart(poses, AgreementWatch(self.config, anywhere=True))
 
     def update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None = None) -> bool:
-        """Take in a scan; True when the filter used it, False when the robot had hardly moved.
+        """Update with a scan; True if the filter used it, False if the robot has hardly moved.
 
-        A scan of a standing robot is used when it shows that someone has pushed it.
-
-        `T_odom_base` is odometry at the scan's stamp, `T_odom_base_end` at the end of the sweep (stamp
-        + n_beams * time_increment), with which a turning lidar's motion is undone. ValueError when
-        the filter is not initialised or odometry is not finite.
+        A scan of a standing robot is used if it shows that someone has pushed the robot. `T_odom_base` is the
+        odometry at the scan's stamp, `T_odom_base_end` at the end of the sweep (stamp + n_beams *
+        time_increment), used for deskewing. ValueError if the filter is not initialised or the odometry is
+        not finite.
         """
         self._check(T_odom_base)
         last = self._at.T_odom_base
@@ -195,7 +194,8 @@ class Amcl:
         return True
 
     def contradicted(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2) -> bool:
-        """Whether a scan, used or not, speaks against the estimate: it explains far less than usual of it."""
+        """Whether a scan, used or not, contradicts the estimate: the map explains far less of it than
+        usual."""
         if self._at.T_map_odom is None:
             return False
         beams = self._prepare(scan, T_start_end=T_odom_base.inverse() @ T_odom_base_end)
@@ -220,7 +220,7 @@ class Amcl:
         return math.hypot(x, y) >= self.config.update_min_d or abs(yaw) >= self.config.update_min_a
 
     def _pushed(self, scan: Scan, T_odom_base: SE2) -> Array | None:
-        """Standard deviations (3,) to draw the cloud with after the standing robot was pushed; else None."""
+        """Standard deviations (3,) for drawing the cloud after a push of the standing robot; else None."""
         if not self.converged:
             return None
         beams = functools.cache(lambda: self._prepare(scan, T_start_end=None))
@@ -262,10 +262,11 @@ class Amcl:
         self._cloud = _Cloud.even(kept if found is None else np.concatenate([kept, found[:new]]))
 
     def _found(self, share: float, beams: Beams) -> Array | None:
-        """Poses from a search, in random order; None when they explain the scan hardly better than we do.
+        """Poses from a search, in random order; None if they explain the scan hardly better than the estimate
+        does.
 
-        The neighbourhood goes first: wheels slip more often than robots are carried off, and many a
-        building has a far place that looks as this one does.
+        The neighbourhood is searched first: wheels slip more often than robots are kidnapped, and many
+        buildings have a distant place that looks like this one.
         """
         count, at = int(share * self.config.max_particles) + 1, self._at
         if at.T_map_odom is None or at.T_odom_base is None or self.watch.anywhere:

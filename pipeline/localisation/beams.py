@@ -43,8 +43,8 @@ def prepare(
 ) -> Beams:
     """Beams of a scan; `T_start_end` is the base's motion over the whole sweep, if known.
 
-    With it, and a turning lidar, beam i is seen from where the base was i * time_increment after the
-    stamp. NaN and -inf are dropped, range_max and more counts as "no return".
+    With it, and a turning lidar, beam i starts from the base's pose i * time_increment after the stamp. NaN
+    and -inf are dropped, range_max and more counts as "no return".
     """
     ranges = scan.ranges.astype(np.float64)
     low, high = range_limits or (scan.lidar.range_min, scan.lidar.range_max)

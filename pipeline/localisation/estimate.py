@@ -10,14 +10,15 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.localisation.sampling import BIN_M, BIN_RAD, bin_numbers
 
-# Reach of a cluster about its mean: several bins, so that one cloud is never cut in two (not measured).
+# Radius of a cluster around its mean: several bins, so that no cloud is cut in two (not measured).
 REACH_XY, REACH_YAW = 0.5, 0.6
-# A cloud is narrow, one place, when its standard deviations are below these (not measured).
+# A cloud is narrow, one place, if its standard deviations are below these (not measured).
 NARROW_M, NARROW_RAD = 0.15, 0.1
-# A cluster is looked for from so many of the heaviest bins, and its mean shifted so often, at most. From the
-# heaviest alone 12 drives are off by the same, but the lesser of two clusters that no border cuts may win.
+# A cluster is searched from this many of the heaviest bins, and its mean shifted at most this many times.
+# From the heaviest alone, 12 drives have the same errors, but the lesser of two clusters that no border cuts
+# may win.
 MOST_SEEDS, MOST_SHIFTS = 5, 10
-# A variance no cloud's is taken below: 1 mm and 0.05 deg.
+# The smallest variance of a cloud: 1 mm and 0.05 deg.
 LEAST_VARIANCE = 1e-6
 
 
@@ -38,7 +39,8 @@ def narrow(covariance: Array) -> bool:
 
 
 def main_cluster(poses: Array, weights: Array) -> Estimate:
-    """The heaviest cluster: from each of the heaviest histogram bins, move to the mean of what is near."""
+    """The heaviest cluster: from each of the heaviest histogram bins, the mean shifts to that of its
+    neighbourhood."""
     numbers = bin_numbers(poses, BIN_M, BIN_RAD)
     bins = np.bincount(numbers, weights=weights)
     best: tuple[float, Array, Array] | None = None

@@ -144,7 +144,7 @@ def sum_over_beams(
         c, s = np.float32(np.cos(poses[i, 2] - yaw0)), np.float32(np.sin(poses[i, 2] - yaw0))
         total = np.float32(0.0)
         if x > reach and y > reach and x + reach < cols and y + reach < rows:
-            # No beam can leave the table: the lookup needs no test.
+            # No beam can leave the table, so the lookup needs no test.
             for j in range(len(points)):
                 gx, gy = x + c * points[j, 0] - s * points[j, 1], y + s * points[j, 0] + c * points[j, 1]
                 total += flat[np.uint32(np.int32(gy)) * np.uint32(cols) + np.uint32(np.int32(gx))]
@@ -152,7 +152,8 @@ def sum_over_beams(
             continue
         for j in range(len(points)):
             gx, gy = x + c * points[j, 0] - s * points[j, 1], y + s * points[j, 0] + c * points[j, 1]
-            # int() cuts towards 0: (-1, 0) falls into the first cell, where the padding says the same.
+            # int() truncates towards 0: (-1, 0) falls into the first cell, where the padding has the same
+            # value.
             col, row = int(gx), int(gy)
             inside = (col >= 0) & (row >= 0) & (col < cols) & (row < rows)
             total += flat[row * cols + col] if inside else np.float32(outside)

@@ -19,11 +19,11 @@ from turtlebag.pipeline.localisation.estimate import NARROW_M, NARROW_RAD, Estim
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
-# Share of the alphas' standard deviation, at first and at least (all of it at most; without a floor, scans
-# that fit better than usual for an hour would leave none); how fast it follows the scans' NIS, which it holds
-# at this (below 1: residuals of one wall are alike).
-# With a share that stays at 0.2 the house is 1.75 cm off for 1.34 where odometry is 15 % noisy; with all
-# of it at first, 0.97 for 0.92 with the usual noise.
+# Share of the alphas' standard deviation: its start, its minimum (at most 1; without a minimum, scans that
+# fit better than usual for an hour would leave nothing), how fast it follows the scans' NIS, and the value at
+# which it keeps the NIS (below 1, because the residuals of one wall are correlated). With a constant share of
+# 0.2, the house is 1.75 cm off instead of 1.34 where odometry is 15 % noisy; starting from 1, 0.97 instead of
+# 0.92 with the usual noise.
 FIRST_SHARE, LEAST_SHARE = 0.3, 0.05
 SHARE_RATE, USUAL_NIS = 0.05, 0.5
 
@@ -46,7 +46,8 @@ class FinePose:
             self._filter.predict(T_base_new, motion, self._share * std)
 
     def correct(self, cloud: Estimate, points_base: Array) -> SE2:
-        """Pose after a scan's end points (n, 2) in the base frame; the cloud's mean when it is too wide."""
+        """Pose after a scan's end points (n, 2) in the base frame; the mean of the cloud if it is too
+        wide."""
         if self._filter is not None:
             self._learn(self._filter.correct(points_base))
             if _agree(self._filter.T_map_base, cloud):
@@ -68,7 +69,8 @@ class FinePose:
 
 
 def _agree(T_map_base: SE2, cloud: Estimate) -> bool:
-    """Whether a pose is within three standard deviations of the cloud, or what is narrow anyway."""
+    """Whether a pose is within three standard deviations of the cloud, or within what counts as narrow
+    anyway."""
     offset = np.abs(T_map_base.xyt - cloud.T_map_base.xyt)
     offset[2] = abs(wrap(offset[2]))
     reach = np.maximum([NARROW_M, NARROW_M, NARROW_RAD], 3.0 * np.sqrt(np.diag(cloud.core)))

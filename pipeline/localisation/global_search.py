@@ -25,23 +25,24 @@ from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, dist
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
-# With these numbers 100 of 100 robots were found in the house, and 40 of 40 in buildings never used before
-# (docs/results_localisation.md); what each of them is worth is not measured.
-# Poses drawn over the free space; the best are kept.
+# With these numbers 100 of 100 robots were found in the house, and 40 of 40 in buildings not used for tuning
+# (docs/results_localisation.md); the effect of each is not measured. Poses drawn over the free space; the
+# best are kept.
 CANDIDATES = 20000
-# Shaking after each stage: standard deviations [m and rad], and the particles left for the next.
+# Perturbation after each stage: standard deviations [m and rad], and the number of particles left for the
+# next.
 SHAKES = (0.10, 0.05, 0.03)
 STAGE_PARTICLES = 3000
-# Standard deviations of a search about a pose [m, m, rad]: those of an initial pose by default.
+# Standard deviations of a search around a pose [m, m, rad]: by default those of an initial pose.
 USUAL = AmclConfig()
 AROUND = np.sqrt([USUAL.initial_cov_xx, USUAL.initial_cov_yy, USUAL.initial_cov_aa])
-# Each weighing is flattened until this share of the candidates still counts; fewer together are no place.
+# Each weighting is flattened until this share of the candidates is effective; fewer together are not a place.
 LEAST_EFFECTIVE = 0.02
-# Beams are not independent: at the end the likelihood counts with this exponent at most.
+# Beams are not independent: the final likelihood has at most this exponent.
 STEEPEST = 0.3
-# Beams with a return looked at in a search, as many without, and twice as many of both for an agreement.
+# Beams with a return used in a search, as many without, and twice as many of both for an agreement.
 MOST_HITS = 60
-# A beam may end this much before the wall that it is said to come from; ranges farther apart are others.
+# A beam may end this far before its wall; ranges farther apart are different.
 PATH_SLACK_M = 0.2
 # Probability of no return although the map has a wall in reach.
 P_MISSED = 0.1
@@ -93,10 +94,8 @@ class GlobalSearch:
         around: Array | None = None,
         without: Callable[[Array], NDArray[np.bool_]] | None = None,
     ) -> Array:
-        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,).
-
-        `without` says which of poses (n, 3) are not to be drawn; where that is all, none are.
-        """
+        """`count` poses, (count, 3), probable by this scan alone: anywhere, or `around` a pose (3,).
+        `without` excludes poses (n, 3); if it excludes all, none are drawn."""
         if around is None:
             poses = self.uniform(CANDIDATES, rng)
         else:
@@ -154,9 +153,9 @@ def path_probabilities(
 ) -> Array:
     """Probability of each beam from each pose, (n, m).
 
-    `starts` and `ways` (m, 2) are in the base frame; the first `hits` beams ended at start + way, the
-    others came back from nowhere along it. `frame`: the field's corner in the map and cells per metre;
-    `noise`: sigma_hit, z_hit, z_rand / range_max.
+    `starts` and `ways` (m, 2) are in the base frame; the first `hits` beams ended at start + way, the others
+    had no return along it. `frame`: the field's corner in the map and cells per metre; `noise`: sigma_hit,
+    z_hit, z_rand / range_max.
     """
     rows, cols = distance.shape
     x0, y0, yaw0, per_metre = frame

@@ -8,14 +8,14 @@ import numpy as np
 
 from turtlebag.datasets.se2 import Array
 
-# The coarsest step [m, m, rad] is halved so often, and of each so many are made at most.
+# The coarsest step [m, m, rad] is halved this many times, and each size is used at most this often.
 STEP, HALVINGS, MOST_STEPS = np.array([0.08, 0.08, 0.05]), 2, 6
 # A pose and its neighbours a step away, (27, 3).
 NEIGHBOURS = np.indices((3, 3, 3)).reshape(3, -1).T - 1.0
 
 
 def climb(value: Callable[[Array], Array], pose: Array) -> tuple[float, Array]:
-    """The highest value found near a pose (3,), and where; `value` gives that of poses (n, 3), (n,)."""
+    """The highest value near a pose (3,), and its pose; `value` gives that of poses (n, 3), (n,)."""
     best = float(value(pose[None])[0])
     for halved in range(HALVINGS + 1):
         for _ in range(MOST_STEPS):

@@ -43,7 +43,7 @@ class Tick(NamedTuple):
     """Everything seen, (n, 2)."""
     new_sweep: bool
     stop: bool
-    """Whether to stand still because something moves near by."""
+    """Whether to stand still because something moves nearby."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Tools:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How the pursuit of a goal ended."""
+    """The outcome of a goal."""
 
     status: Status
     reason: str = ""
@@ -108,7 +108,7 @@ class _Route:
 
 
 class _Recovery:
-    """The manoeuvres of a robot that does not get on, and whether it has got on since."""
+    """Recovery manoeuvres of a robot without progress, and whether it has made progress since."""
 
     def __init__(self, tools: Tools) -> None:
         self.ladder = Ladder(tools.recovery, tools.obstacles.clear)
@@ -119,7 +119,7 @@ class _Recovery:
         self._at: SE2 | None = None
 
     def note(self, pose: SE2) -> None:
-        """Count the way driven: after enough of it the ladder starts over."""
+        """Count the distance driven: after enough of it the sequence starts over."""
         if self._at is not None:
             self._driven += float(np.linalg.norm(pose.xy - self._at.xy))
         self._at = pose
@@ -175,15 +175,15 @@ class GoalRunner:
 
     @property
     def recovering(self) -> bool:
-        """Whether it is in trouble, and has not got on since."""
+        """Whether it is in trouble and has made no progress since."""
         return self._recovery.ladder.climbed
 
     def rest(self) -> None:
-        """Time passes without the robot being meant to move."""
+        """Time passes in which the robot is not supposed to move."""
         self._recovery.watch.reset()
 
     def _replan(self, tick: Tick) -> Verdict | None:
-        """A new path; without one the way on is recovery, or giving up when there never was one."""
+        """Plan a new path; without one the robot recovers, or gives up if there never was one."""
         t, self._route = self.tools, None
         self._plans += 1
         radius = t.model.circumscribed_radius + min(t.plan.margins)
@@ -203,9 +203,10 @@ class GoalRunner:
         return None
 
     def _blocked(self, route: _Route, tick: Tick) -> bool:
-        """Whether obstacles seen stand on the path ahead, or it ends at the rim of a window now left.
+        """Whether observed obstacles block the path ahead, or it ends at the edge of a window that has moved
+        on.
 
-        They do where the monitor would hold the footprint.
+        An obstacle blocks it where the monitor would stop the footprint.
         """
         obstacles = self.tools.obstacles
         if obstacles.static is not route.static and route.short:
@@ -221,7 +222,7 @@ class GoalRunner:
         return bool(clearance < PADDING_M)
 
     def _guarded(self, wanted: Twist, tick: Tick) -> Twist:
-        """The command that the collision monitor lets pass."""
+        """The command as limited by the collision monitor."""
         factor = self.tools.passed(wanted, tick)
         if factor >= 1.0:
             return wanted
@@ -229,7 +230,7 @@ class GoalRunner:
         return self.tools.controller.ramp(Twist(wanted.v * factor, wanted.w * factor), tick.last)
 
     def _held_up(self, tick: Tick, wanted: Twist) -> Verdict | None:
-        """Recovery when the monitor holds the robot, or when it does not get on."""
+        """Recovery if the monitor holds the robot, or if it makes no progress."""
         moving = abs(wanted.v) > STOPPED_V or abs(wanted.w) > STOPPED_W
         if moving and self._recovery.watch.stuck(tick.now_ns, tick.pose):
             return self._recovery.start(tick, "stuck: the robot made no progress")

@@ -14,32 +14,32 @@ from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
-"""Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
+"""Sweeps are compared over this time: at 0.3 m/s, an object moves 10 cm, well beyond the noise."""
 BINS, NEIGHBOURS = 360, 2
-"""Bearings of a profile, one for each beam of an LDS-01; a beam stands for so many to both sides, too."""
+"""Bearings of a profile, one for each beam of an LDS-01; a beam also stands for this many on both sides."""
 SHIFT_M = 0.06
-"""A sweep that saw so much farther saw through the place: six standard deviations of a noise of 1 cm."""
+"""A sweep that saw this much farther saw through the place: six standard deviations at 1 cm of noise."""
 COMPANY, COMPANY_M = 3, 0.2
 """A moving point needs this many others nearby: a single one is noise."""
 STOP_M = 0.35
-"""Something that moves within so much of the footprint stops the robot, wherever it is going: at
-0.3 m/s it comes 0.2 m nearer before it is seen next and the robot has braked."""
+"""Anything that moves within this distance of the footprint stops the robot, wherever it is going: at 0.3 m/s
+it comes 0.2 m nearer before it is seen again and the robot has braked."""
 
 
 class MovingWatch:
     """Stops the robot for moving obstacles nearby: a person can avoid a standing robot more easily.
 
-    A point of the newest sweep moved where a sweep a little older saw through its place.
+    A point of the newest sweep is moving if a sweep a little older saw through its place.
     """
 
     def __init__(self, model: RobotModel) -> None:
         self.points_odom = np.zeros((0, 2))
-        """(n, 2) points of the newest sweep that moved there."""
+        """Moving points of the newest sweep, (n, 2)."""
         self._zone = padded(model.footprint, STOP_M)
         self._profiles: deque[tuple[int, SE2, Array]] = deque(maxlen=16)
 
     def observe(self, sweep: DeskewedScan) -> None:
-        """Take in a sweep."""
+        """Add a sweep."""
         older = [p for p in self._profiles if sweep.stamp_ns - p[0] >= BEFORE_NS]
         self.points_odom = np.zeros((0, 2))
         if older and sweep.stamp_ns - older[-1][0] < 2 * BEFORE_NS:
@@ -54,7 +54,7 @@ class MovingWatch:
 
 
 def profile(ends_lidar: Array) -> Array:
-    """Least range by bearing (BINS,), from the ends (n, 2) of a sweep's beams; 0 where none went."""
+    """Least range by bearing (BINS,), from the ends (n, 2) of a sweep's beams; 0 without a beam."""
     ranges = np.full(BINS, np.inf)
     if len(ends_lidar):
         bins = _bins(ends_lidar)
@@ -65,7 +65,7 @@ def profile(ends_lidar: Array) -> Array:
 
 
 def moved_points(sweep: DeskewedScan, T_odom_lidar: SE2, ranges: Array) -> Array:
-    """Hits (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
+    """Hits (n, 2) where an older sweep, with that lidar pose and profile, saw farther."""
     hits = sweep.hits_odom
     if len(hits) == 0:
         return np.zeros((0, 2))

@@ -29,7 +29,7 @@ ALIKE = "two places on the map look alike, and no reachable view distinguishes t
 
 @dataclass
 class _Pursuit:
-    """A goal, how often it only seemed to have ended, and its runner; None before it is planned (anew)."""
+    """A goal, how often it only seemed to have ended, and its runner; None until it is planned (again)."""
 
     goal: SE2
     doubted: int = 0
@@ -82,20 +82,20 @@ class NavigationDriver(Driver):
         return self._pursue(self._pursuit, observation, T_frame_odom @ observation.odometry.T_odom_base)
 
     def begin(self, sequence: GoalSequence) -> None:
-        """Other goals from the next step on; localisation is kept."""
+        """Replace the goals from the next step on; localisation continues."""
         self.sequence, self._pursuit, self.finished = sequence, None, False
         if self.relocaliser is not None:
             self.relocaliser.accept()
 
     def told(self, T_map_base: SE2 | Literal["global"], T_odom_base: SE2) -> None:
-        """Set a pose estimate, or start global localisation; obstacles seen by the old pose are void."""
+        """Set a pose estimate, or start global localisation; obstacles seen from the old pose are dropped."""
         assert self.relocaliser is not None
         self.relocaliser.localiser.tell(T_map_base, T_odom_base)
         self.relocaliser.told(State.WIGGLE if T_map_base == "global" else State.DRIVE)
         self._forget()
 
     def use(self, tools: Tools) -> None:
-        """Other tools from the next step on: the costmap has changed, say."""
+        """Replace the tools from the next step on, for example after a change of the costmap."""
         self.tools = tools
         if self.relocaliser is not None:
             self.relocaliser.tools = tools
@@ -112,14 +112,14 @@ class NavigationDriver(Driver):
         self._now = observation.stamp_ns
 
     def resume(self, last: Twist) -> None:
-        """Pursue the goal anew from where the robot has been brought."""
+        """Plan the goal again from where teleop has brought the robot."""
         super().resume(last)
         self._forget_route()
         if self.relocaliser is not None:
             self.relocaliser.rest()
 
     def _wait_for_scan(self, now: int) -> Twist:
-        """Stand still; goals run out of time, and are given up when the lidar stays silent."""
+        """Stand still; goals still time out, and are given up if the lidar stays silent."""
         self._rest()
         self.sequence.update(now, "the lidar is silent")
         if self.sensing.silent_s > PATIENCE_S:
@@ -128,7 +128,7 @@ class NavigationDriver(Driver):
         return self._stop("blind", finished=self.sequence.finished)
 
     def _find(self, relocaliser: Relocaliser, state: State, observation: Observation, span_ns: int) -> Twist:
-        """The command of a robot that does not drive to its goal now; a goal may be given up for that."""
+        """The command while the robot does not drive to its goal; a goal may be given up meanwhile."""
         now, sequence = observation.stamp_ns, self.sequence
         self.state = state.value
         if state is State.COMPARE:
@@ -147,9 +147,9 @@ class NavigationDriver(Driver):
         return self._last
 
     def _compare(self, relocaliser: Relocaliser, observation: Observation, span_ns: int) -> Twist:
-        """Drive to find out which of the hypotheses is right; the goal's clock stands.
+        """Drive to decide between the hypotheses while the goal's clock is stopped.
 
-        A goal is given up when nothing has told them apart in time.
+        A goal is given up if nothing has decided between them in time.
         """
         now, T_map_odom = observation.stamp_ns, relocaliser.localiser.T_map_odom
         assert relocaliser.comparison is not None
@@ -176,7 +176,7 @@ class NavigationDriver(Driver):
         return self._last
 
     def _forget(self) -> None:
-        """Drop what was planned and seen by a pose that was wrong."""
+        """Drop plans and obstacles from a wrong pose."""
         self.tools.obstacles.clear()
         self._forget_route()
 
@@ -185,19 +185,19 @@ class NavigationDriver(Driver):
             self._pursuit.runner = None
 
     def _rest(self) -> None:
-        """Standing still now is no lack of progress."""
+        """Standing still now does not count as lack of progress."""
         if self._pursuit is not None and self._pursuit.runner is not None:
             self._pursuit.runner.rest()
 
     def _localise(self, observation: Observation) -> SE2 | None:
-        """Odometry's frame in the frame of goals and costmap; None while it is not known."""
+        """The odometry frame in the frame of goals and costmap; None while it is unknown."""
         if self.relocaliser is None:
             return SE2.identity()
         self.relocaliser.localiser.observe(observation)
         return self._localised(self.relocaliser.localiser, observation)
 
     def _localised(self, localiser: Localiser, observation: Observation) -> SE2 | None:
-        """Take over the localiser's pose, which is another one once it was moved to another place."""
+        """Use the localiser's pose, which jumps when the estimate is moved to another place."""
         self.estimate = localiser.T_map_base(observation.odometry.T_odom_base)
         return localiser.T_map_odom
 
@@ -221,11 +221,11 @@ class NavigationDriver(Driver):
         return self._last
 
     def _judge(self, pursuit: _Pursuit, verdict: Verdict, T_map_base: SE2, now: int) -> None:
-        """Close the goal, unless it only seems reached, or unreachable, as the robot is elsewhere.
+        """End the goal, unless it only seems reached or unreachable because the robot is elsewhere.
 
-        Where it takes itself to have arrived, the newest scan must not speak against that; where it takes
-        itself to stand in what the map shows as a wall, it is wrong before any scan says so. It looks
-        about then, so often; a goal where the scans still speak against it is not reached.
+        Where the robot believes it has arrived, the newest scan must not contradict that; where it believes
+        it stands in a wall of the map, it is wrong before any scan says so. It then looks around, a limited
+        number of times; a goal that scans still contradict is not reached.
         """
         arrived, doubtful = verdict.status == "reached", False
         if self.relocaliser is not None:

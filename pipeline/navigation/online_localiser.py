@@ -16,7 +16,7 @@ from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 
 
 class Localiser:
-    """Where the robot is on the map, tick by tick."""
+    """The robot's pose on the map, tick by tick."""
 
     PARTICLES_EVERY_NS = 10**9
     PARTICLES_SHOWN = 500
@@ -27,7 +27,7 @@ class Localiser:
         self._publisher = publisher
         self._odometry = odometry
         self.T_map_odom: SE2 | None = None
-        """Odometry's frame on the map; None while it is not known."""
+        """The odometry frame on the map; None while it is unknown."""
         self.updates = 0
         """Scans that the filter used: those between which the robot moved."""
         self.pushed = False
@@ -36,10 +36,11 @@ class Localiser:
         self._seen: tuple[Scan, SE2, SE2] | None = None
         self._shown_ns = -self.PARTICLES_EVERY_NS
         self.scan_poses: list[tuple[int, SE2]] = []
-        """(stamp [ns], T_map_base) at each sweep taken in: the run's trajectory."""
+        """(stamp [ns], T_map_base) at each sweep: the run's trajectory."""
 
     def tell(self, initial_pose: SE2 | Literal["start", "global"] | None, T_odom_base: SE2) -> None:
-        """Set the pose estimate, or start global localisation; `start`: true pose where odometry begins."""
+        """Set the pose estimate, or start global localisation; `start`: the true pose, where odometry
+        starts."""
         if initial_pose == "global":
             self.amcl.initialise_globally()
         elif initial_pose is not None:
@@ -49,23 +50,24 @@ class Localiser:
 
     @property
     def keyframes(self) -> list[Keyframe]:
-        """Some of the last scans that the filter used, the newest last."""
+        """Some of the last scans that the filter used, newest last."""
         return list(self._keyframes)[::-2][::-1]
 
     @property
     def contradicted(self) -> bool:
-        """Whether the newest scan speaks against the estimate."""
+        """Whether the newest scan contradicts the estimate."""
         return self._seen is not None and self.amcl.contradicted(*self._seen)
 
     def move(self, T_map_map: SE2, covariance: Array) -> None:
-        """The robot is elsewhere: where this motion of the map takes the estimate, so uncertain (3, 3)."""
+        """Move the estimate by this motion of the map, with this covariance (3, 3): the robot is
+        elsewhere."""
         if self._keyframes and self.T_map_odom is not None:
             T_odom_base = self._keyframes[-1].T_odom_base
             self.amcl.initialise(T_map_map @ self.T_map_odom @ T_odom_base, covariance, T_odom_base)
             self.T_map_odom = self.amcl.T_map_odom
 
     def observe(self, observation: Observation) -> None:
-        """Take in one observation, which the odometry buffer has seen already."""
+        """Add an observation, which the odometry buffer has seen already."""
         scan, pushes = observation.scan, self.amcl.pushes
         self.pushed = False
         if scan is None or not self.amcl.initialised:

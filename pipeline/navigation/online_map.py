@@ -13,11 +13,11 @@ from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
 
 HERE_M = 0.15
-"""Scans taken so near to where the robot pushes against something are not drawn (not measured)."""
+"""Scans this close to where the robot pushes against something are not drawn (not measured)."""
 
 
 class OnlineMap:
-    """Maps the observations; `update` makes the map so far. The map frame is the odometry's at the start."""
+    """Maps the observations; `update` makes the current map. The map frame is the odometry's at the start."""
 
     def __init__(self, T_base_lidar: SE2, config: SlamConfig) -> None:
         self.T_map_odom = SE2.identity()
@@ -30,7 +30,7 @@ class OnlineMap:
         self._imu: list[Imu] = []
 
     def observe(self, observation: Observation) -> None:
-        """Take in odometry, and place the scan if there is one."""
+        """Add the odometry, and place the scan if there is one."""
         self._stamps.append(observation.odometry.stamp_ns)
         self._odometry.append(observation.odometry.T_odom_base)
         self._imu += observation.imu
@@ -47,9 +47,9 @@ class OnlineMap:
         self.T_map_odom = self.mapper.T_map_odom
 
     def distrust(self) -> None:
-        """The robot has been pushing against something here: its scans since it came are not drawn.
+        """The robot has been pushing against something here: its scans since it arrived are not drawn.
 
-        Wheels that turn on the spot bend the sweeps, by which each scan's beams are put in order.
+        Wheels that turn without moving the robot distort the deskewed sweeps.
         """
         if self.mapper is not None:
             self.mapper.distrust(HERE_M)
@@ -60,7 +60,7 @@ class OnlineMap:
         return self.mapper is not None and len(self.mapper) > 0
 
     def update(self) -> OccupancyGrid:
-        """Draw what was seen so far."""
+        """Draw the current map."""
         assert self.mapper is not None
         self.grid = self.mapper.map()
         return self.grid
@@ -75,6 +75,6 @@ class OnlineMap:
         return self.grid
 
     def recording(self) -> Recording:
-        """What is mapped with, as a log."""
+        """The scans that are mapped, as a log."""
         assert self.mapper is not None
         return self.mapper.recording()

@@ -13,13 +13,13 @@ from turtlebag.sim.simulator import Simulator
 
 
 class NoBag(BagWriter):
-    """A bag that forgets: for when only the numbers of a run are wanted."""
+    """A bag that stores nothing, for when only the numbers of a run are wanted."""
 
     def __init__(self) -> None:
-        """Nothing is opened."""
+        """Opens nothing."""
 
     def _forget(self, *message: object, **named: object) -> None:
-        """Nothing is kept of it."""
+        """Stores nothing."""
 
     static_transforms = observation = cloud = truth = command = owner = map = _forget
     amcl_pose = map_to_odom = particles = plan = goal = _forget
@@ -27,7 +27,7 @@ class NoBag(BagWriter):
 
 class RunRecorder:
     """Writes each tick of a run to the bag and keeps its rows; at the stamps of the scans also the true pose
-    and the robot's own, which is `T_frame_odom` @ odometry."""
+    and the robot's estimate, `T_frame_odom` @ odometry."""
 
     def __init__(self, simulator: Simulator, bag: BagWriter) -> None:
         self._simulator = simulator
@@ -41,7 +41,7 @@ class RunRecorder:
         self._own: list[tuple[int, SE2]] = []
 
     def tick(self, observation: Observation, owner: CommandOwner, T_frame_odom: SE2 | None = None) -> None:
-        """One control period: what was seen, and what is commanded for the next."""
+        """One control period: the observation, and the command for the next."""
         truth = self._simulator.truth
         self._bag.observation(observation)
         self._bag.truth(truth.stamp_ns, truth.T_world_base, truth.twist)
@@ -78,12 +78,12 @@ class RunRecorder:
         return trajectory_of(self._truth)
 
     def own(self) -> Trajectory:
-        """The robot's own poses at the stamps of the scans."""
+        """The robot's estimated poses at the stamps of the scans."""
         return trajectory_of(self._own)
 
 
 def trajectory_of(samples: list[tuple[int, SE2]]) -> Trajectory:
-    """Stamped poses as a trajectory; an empty list is an empty one."""
+    """Stamped poses as a trajectory, which may be empty."""
     stamps = np.array([stamp for stamp, _ in samples], dtype=np.int64)
     poses = SE2.stack([pose for _, pose in samples]) if samples else SE2.identity(0)
     return Trajectory(stamps, poses)

@@ -136,9 +136,9 @@ class Relocaliser:
         return self.tools.controller.brake(tick.last) if command is None else command
 
     def _jumped(self, T_odom_base: SE2) -> bool:
-        """Whether the estimate has moved otherwise than by odometry since the last question.
+        """Whether the estimate has moved by anything but odometry since the last call.
 
-        Such a robot looks about before it drives on by the new estimate.
+        The robot then looks around before it drives on with the new estimate.
         """
         before, self._T_map_odom = self._T_map_odom, self.localiser.T_map_odom
         if before is None or self._T_map_odom is None or before is self._T_map_odom:
@@ -146,7 +146,7 @@ class Relocaliser:
         return apart(before @ T_odom_base, self._T_map_odom @ T_odom_base, JUMP)
 
     def _examine(self, now_ns: int) -> None:
-        """Look for places that look like the estimate's; it is moved to a clearly better one."""
+        """Search for places that look like the estimate's; move it to a clearly better one."""
         localiser = self.localiser
         T_map_odom, keyframes = localiser.T_map_odom, localiser.keyframes
         if T_map_odom is None or not keyframes or localiser.amcl.lost:
@@ -161,32 +161,32 @@ class Relocaliser:
                 self._move_to(found[0])
 
     def _move_to(self, T_map_map: SE2) -> None:
-        """Move the estimate if it is not there; that is no reason for doubt."""
+        """Move the estimate if it is not there already; that is no reason for doubt."""
         if not np.allclose(T_map_map.xyt, 0.0):
             self.localiser.move(T_map_map, MOVED_STD**2 * np.eye(3))
             self._T_map_odom, self.void = self.localiser.T_map_odom, True
 
 
 class _Sureness:
-    """Whether to compare an estimate with other places: it comes from a search, or is not where it was."""
+    """Whether to compare an estimate with other places: it comes from a search, or has jumped."""
 
     def __init__(self, searches: int = 0) -> None:
         self.doubted = False
-        """Whether the robot has been lost since it last knew where it is."""
+        """Whether the robot has been lost since it last knew its pose."""
         self.searches = searches
         """Searches over the whole map whose result has been examined."""
         self._updates = self._sure = 0
         self._sure_of = SE2.identity()
 
     def new_update(self, localiser: Localiser) -> bool:
-        """Whether the filter has used a scan since the last question."""
+        """Whether the filter has used a scan since the last call."""
         before, self._updates = self._updates, localiser.updates
         return localiser.updates > before
 
     def doubtful(self, localiser: Localiser, T_map_odom: SE2, T_odom_base: SE2) -> bool:
-        """Whether to look for other places; the estimate is one that the filter is sure of.
+        """Whether to search for other places, given a certain estimate.
 
-        A robot that was never sure yet is told a pose and corrects it: whoever told it knows the place.
+        A robot that was never certain was given a pose and corrects it: whoever gave it knows the place.
         """
         searched = localiser.amcl.searches > self.searches
         self.searches = localiser.amcl.searches

@@ -14,11 +14,11 @@ from turtlebag.datasets.types import Observation, Scan
 from turtlebag.planners.tasks.avoid import Sectors, read_sectors
 
 SILENT_S = 0.5
-"""Two scans of a 5 Hz lidar lost, one after the other, and the robot stops."""
+"""The robot stops after two lost scans in a row of a 5 Hz lidar."""
 
 
 class OdometryBuffer:
-    """The last odometry poses, to ask for one at a scan's stamp."""
+    """The last odometry poses, for interpolation at a scan's stamp."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, SE2]] = deque(maxlen=32)
@@ -28,7 +28,7 @@ class OdometryBuffer:
         self._samples.append((stamp_ns, T_odom_base))
 
     def at(self, stamp_ns: int) -> SE2:
-        """Odometry at a stamp, interpolated; held at the ends of what is remembered."""
+        """Odometry at a stamp, interpolated; outside of the buffer, its first or last pose."""
         newer = self._samples[-1]
         for sample in reversed(self._samples):
             if sample[0] <= stamp_ns:
@@ -47,7 +47,7 @@ def sweep_end_ns(scan: Scan) -> int:
 
 @dataclass(frozen=True, eq=False)
 class DeskewedScan:
-    """One sweep in the odometry frame: points hit (n, 2), ends of beams that met nothing (m, 2).
+    """One sweep in the odometry frame: end points of hits (n, 2), and of beams without return (m, 2).
 
     Beams nearer than the lidar can measure (-inf) are hits at its least range.
     """
@@ -66,9 +66,9 @@ class Sensing:
         self.odometry = OdometryBuffer()
         self.sweep: DeskewedScan | None = None
         self.silent_s = 0.0
-        """How long no scan has come [s]."""
+        """Time since the last scan [s]."""
         self.shown_ns: int | None = None
-        """Stamp of the observation that it was shown last [ns]."""
+        """Stamp of the last observation [ns]."""
         self._T_base_lidar = T_base_lidar
         self._heard_ns: int | None = None
 
@@ -78,9 +78,9 @@ class Sensing:
         return self.silent_s > SILENT_S
 
     def observe(self, observation: Observation) -> DeskewedScan | None:
-        """Take in an observation; the new sweep when it brought one.
+        """Add an observation; the new sweep if it has one.
 
-        Of two drivers that share it, the second to show it the same observation is told the same.
+        Two drivers may share it: the second call with the same observation returns the same.
         """
         if observation.stamp_ns == self.shown_ns:
             return None if observation.scan is None else self.sweep

@@ -36,7 +36,7 @@ class News:
         self._heading, self._told, self._touched = -1, 0, False
 
     def tick(self, stamp_ns: int, owner: CommandOwner, sequence: GoalSequence | None, truth: Truth) -> None:
-        """One control period, after it was decided what to do."""
+        """One control period, after the command was chosen."""
         if self._opening:
             self._tell(self._opening)
             self._opening = ""
@@ -81,7 +81,7 @@ def _ended(outcome: GoalOutcome, truth: Truth, touched: bool) -> str:
 
 
 def verdict(metrics: RunMetrics) -> str:
-    """How a run went by the truth, in one line, from its metrics."""
+    """The outcome of a run by ground truth, in one line, from its metrics."""
     parts = []
     if goals := metrics["goals"]:
         believed = [goal for goal in goals if goal["status"] == "reached"]

@@ -48,7 +48,7 @@ class TakeoverConfig(Settings, allow_inf_nan=False):
     monitor: bool = True
     """Whether the collision monitor also limits teleop commands; without it a person can push obstacles."""
     speed: float = Field(default=1.0, gt=0.0)
-    """Simulation speed with a keyboard, in times real time."""
+    """Simulation speed with a keyboard, relative to real time."""
     script: tuple[Interval, ...] = ()
     """Overrides by script; intervals without a gap between them count as one."""
 
@@ -109,7 +109,7 @@ class CommandOwner:
         self.asked: list[Interval] = []
         """The overrides so far, as a script that repeats them."""
         self.command = Twist()
-        """That of the last tick."""
+        """The command in the last tick."""
         self._source = source
         self._monitor = monitor
         self._limits = SpeedLimits.of(model, PERIOD_S)
@@ -136,7 +136,7 @@ class CommandOwner:
         return self.command
 
     def _allowed(self, asked: Twist, observation: Observation) -> Twist:
-        """What is asked for, within the robot's limits and as far as nothing the lidar sees is in the way."""
+        """The teleop command within the robot's limits, reduced so as not to hit anything the lidar sees."""
         wanted = ramped(asked, self.command, self._limits)
         if self._monitor is None:
             return wanted

@@ -85,7 +85,7 @@ def install(environment: Path, project: Path) -> None:
 
 @contextmanager
 def _alone(environment: Path) -> Iterator[int]:
-    """Holds the folder's lock, waiting for whoever has it: pip may outlive the make that was killed."""
+    """Holds the folder's lock, waiting for the process that has it: pip may outlive a killed make."""
     environment.mkdir(exist_ok=True)
     handle = os.open(environment, os.O_RDONLY)
     try:
@@ -115,7 +115,7 @@ def _clear(environment: Path) -> None:
 
 
 def _fill(environment: Path, project: Path, handle: int) -> None:
-    """Virtual environment, packages, project; the mark stands from the first change to the last."""
+    """Virtual environment, packages, project; the mark exists from the first change to the last."""
     log, lock = environment / LOG, project / "requirements.lock"
     python = str(environment / "bin/python")
     if (environment / "pyvenv.cfg").exists() and (damaged := _damaged(python)):

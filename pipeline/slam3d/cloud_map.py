@@ -12,7 +12,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.open3d_loader import open3d
 
 FRINGE = 2.5
-"""A voxel with so many times the points of its neighbour is the surface, the neighbour its fringe."""
+"""A voxel with this many times the points of its neighbour is the surface, the neighbour its fringe."""
 LIMIT = 1 << 20
 """Voxels on each side of the origin along an axis."""
 MIN_POINTS, NEIGHBOURS, OUTLIER = 3, 12, 3.0

@@ -50,7 +50,7 @@ def gathered(keys: Keys, T_map_keys: Array, anchor: int, members: Iterable[int])
 
 
 class Places:
-    """The surroundings of keys at fixed poses (n, 4, 4); only those of the last one asked for are kept."""
+    """The surroundings of keys at fixed poses (n, 4, 4); only those used last are kept."""
 
     def __init__(self, keys: Keys, T_map_keys: Array, voxel: float) -> None:
         self._keys, self.T_map_keys, self._voxel = keys, T_map_keys, voxel

@@ -31,7 +31,8 @@ from turtlebag.pipeline.slam3d.surfels import GATE_VOXELS, INFLATION, observable
 REACH_VOXELS, RETURN_VOXELS = 5.0, 25.0
 """How far off a key may lie to be aligned from where it is, and the way since that makes a return."""
 CONTEXT_M, UNLIKE, LIKEST = 20.0, 0.35, 2
-"""Radius of the scan context; places less similar are not compared, nor more than so many for each key."""
+"""Radius of the scan context; places less similar than this are not compared, nor more than this many for
+each key."""
 LOOKS = 64
 """Places whose features are kept: neighbours look like the same ones."""
 SUPPORT = 2
@@ -92,7 +93,7 @@ class CloudLoops(LoopSearch):
         )  # fmt: skip
 
     def recognised(self) -> list[Loop]:
-        """Loops by appearance where drift leaves distance no say; those that agree are accepted."""
+        """Loops by appearance where the drift is too large for distance; those that agree are accepted."""
         drift = drift_of(self.poses, self.steps)
         found = self._alike(drift)
         good = [k for k, loop in enumerate(found) if loop.accepted]
@@ -109,7 +110,7 @@ class CloudLoops(LoopSearch):
         return found
 
     def _alike(self, drift: Drift) -> list[Loop]:
-        """Each key aligned with the places that look like its own, out of the reach of distance."""
+        """Each key aligned with the places that look like its own, beyond the reach of distance."""
         n, found, ways = len(self.keys), list[Loop](), drift.ways(self.loops)
         contexts: Contexts | None = None
         looks = lru_cache(LOOKS)(lambda k: featured(self.places.points(k)[0], self.voxel))

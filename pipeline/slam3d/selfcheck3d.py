@@ -62,9 +62,9 @@ def check_map(
 def _broken(
     stamps_ns: NDArray[np.int64], track: Track3d, lost: NDArray[np.int64], constraints: Sequence[Constraint]
 ) -> list[str]:
-    """What nothing bridges without odometry: a lost cloud, and a time without clouds.
+    """What cannot be bridged without odometry: a lost cloud, and a time without clouds.
 
-    What is matched across such a time starts at a guess that may be far off; only a recognised place tells.
+    A match across such a time starts at a guess that may be far off; only a recognised place is evidence.
     """
     if track.T_odom is not None:
         return []

@@ -20,7 +20,7 @@ MAX_SLOPE_RAD, ON_FLOOR_M = 0.1, 0.03
 """How far a floor may slope to a base frame that is known, or between two visits; and how far below it may be
 the same."""
 FLOOR_REACH = 4.0
-"""The floor is looked for within so many median ranges."""
+"""The floor is searched within this many median ranges."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,7 +61,7 @@ class SliceGrid:
         carve(self._counts, ends, start, band, SLICE_REACH_M / resolution, share)
 
     def grid(self) -> OccupancyGrid:
-        """The grid so far."""
+        """The current grid."""
         return trimmed(classify(self._counts, self._config.grid), self._corner, self._config.grid)
 
 

@@ -138,12 +138,12 @@ class Fit:
 
 
 LEAST_OVERLAP = 0.35
-"""A cloud of which less lies on a place does not fit it."""
+"""A cloud with a smaller overlap with a place does not fit it."""
 KERNEL_M, GATE_VOXELS = 0.03, 0.7
 """Width of the Geman-McClure weight of a distance; the largest distance that counts once a pose is nearly
 right."""
 INFLATION = 50.0
-"""Points share their errors, so their sum counts so many times less."""
+"""The errors of points are correlated, so their sum counts this many times less."""
 LOOSE = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3] * 2)
 
 
@@ -200,12 +200,9 @@ def fit(
 
 
 def observable(information: Array) -> Array:
-    """Information (6, 6) without the directions the surfaces do not hold: along a corridor, say.
-
-    Normals err by some degrees, so a blind direction still gathers a share of the others' information, up to
-    BLIND of the best one's.
-    Rotation and translation are judged apart.
-    """
+    """Information (6, 6) without the unobservable directions, such as that along a corridor. Normals err by
+    some degrees, so a blind direction still gathers a share of the others' information, up to BLIND of the
+    best one's. Rotation and translation are judged separately."""
     out = information.copy()
     for block in (slice(0, 3), slice(3, 6)):
         values, vectors = np.linalg.eigh(information[block, block])
@@ -218,10 +215,8 @@ def observable(information: Array) -> Array:
 
 @njit(cache=True)
 def nearest_surfel(q: Array, o: Array, surfels: Surfels, gate: float) -> int:
-    """The surfel nearest to a point (3,) within its voxel and those around; -1 for none within the gate.
-
-    Only what faces `o` (3,), from where the point was seen: nobody sees the far side of a wall.
-    """
+    """The surfel nearest to a point (3,) within its voxel and those around; -1 for none within the gate. It
+    must face `o` (3,), from which the point was seen: the far side of a wall is not visible."""
     cells, pairs, low, voxel, means, normals, _ = surfels
     nx, ny, nz = cells.shape
     x = math.floor((q[0] - low[0]) / voxel)

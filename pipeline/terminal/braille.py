@@ -63,7 +63,7 @@ class Canvas:
 
 
 def terminal_size() -> Size:
-    """Columns and rows of the terminal on stderr or stdout now; 80 x 24 where neither tells."""
+    """Columns and rows of the terminal on stderr or stdout; 80 x 24 if neither is one."""
     for stream in (sys.stderr, sys.stdout):
         try:
             columns, rows = os.get_terminal_size(stream.fileno())

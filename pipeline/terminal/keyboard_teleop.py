@@ -89,10 +89,10 @@ def _toward(value: float, target: float, step: float) -> float:
 def keyboard_driver(
     state: KeyState, read_keys: Callable[[], str], wait: Callable[[int], None]
 ) -> Generator[Twist, Truth, None]:
-    """A driver for record_drive: asks for keys at each control step, until the end key; then stops.
+    """A driver for record_drive: reads keys at each control step until the end key; then stops.
 
-    `read_keys` gives what was typed since it was asked last; `wait` is told the number of the step
-    and returns when that is due. What the driver is sent, the truth, it does not look at.
+    `read_keys` returns the keys typed since the last call; `wait` gets the number of the step and returns
+    when it is due. The truth, which the driver is sent, is not used.
     """
     yield Twist()
     step = 0
@@ -193,7 +193,7 @@ class View:
 
     @property
     def map_points(self) -> Array:
-        """Middles of all 5 cm cells that a beam has hit so far, (n, 2) in the odom frame."""
+        """Centres of all 5 cm cells that a beam has hit, (n, 2) in the odom frame."""
         return (self._seen.astype(np.float64) + 0.5) * CELL_M
 
 

@@ -105,7 +105,7 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
 
 
 Simulated = Callable[[int, str], None]
-"""Told the stamp [ns] that the simulation has come to, and in a word or two what goes on."""
+"""Called with the stamp [ns] that the simulation has reached, and a word or two on its state."""
 
 
 @contextmanager
@@ -134,7 +134,7 @@ def simulated_time(total_s: float | None = None) -> Iterator[Simulated]:
 
 @contextmanager
 def drawing() -> Iterator[Callable[[str], None]]:
-    """A bar of figures, told the title of each before it is drawn; silent as the others."""
+    """A progress bar of figures, called with the title of each before it is drawn; silent as the others."""
     if not _shown():
         yield lambda title: None
         return

@@ -1,4 +1,4 @@
-"""Showing a recording as it was: clock, speeds, the scan and the path driven so far."""
+"""Plays a recording: clock, speeds, the scan and the path driven."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Frame:
 
 
 class Player:
-    """A recording that can be looked at at any instant; drawn in so many columns and rows."""
+    """A recording that can be shown at any instant, drawn in this many columns and rows."""
 
     def __init__(self, path: Path, size: Size = (78, 21)) -> None:
         self._size = size

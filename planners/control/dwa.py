@@ -38,20 +38,21 @@ class DwaConfig(Settings):
 
 
 class Window(NamedTuple):
-    """Which arcs are tried; names as in dwa_local_planner where the idea is the same, SI units."""
+    """The arcs that are tried; named as in dwa_local_planner where the idea is the same, SI units."""
 
     max_v: float = 1.4
-    """As fast as it can, the jackal scores 0.500 for 0.488 on 13 BARN worlds, with 1 cm less room."""
+    """At its top speed, the jackal scores 0.500 instead of 0.488 on 13 BARN worlds, with 1 cm less
+    clearance."""
     min_v: float = -0.4
-    """Backwards, as far as the robot goes; faster, turning round would not pay."""
+    """Driving backwards, up to the robot's own limit; if it were faster, turning round would not pay."""
     max_w: float = 2.0
-    """As fast as it can, the jackal loses its way in one of 13 BARN worlds."""
+    """At its top speed, the jackal gets stuck in one of 13 BARN worlds."""
     time: float = 0.25
-    """Time ahead over which the limits let the speed change [s]."""
+    """Time over which the acceleration limits open the window [s]."""
     vx_samples: int = 9
     vth_samples: int = 21
     settle_distance: float = 0.45
-    """From here on the goal's pose is settled on as pure pursuit does."""
+    """Within this distance the robot settles on the goal's pose as pure pursuit does."""
 
 
 class ArcFloor(NamedTuple):
@@ -64,29 +65,29 @@ class ArcFloor(NamedTuple):
 
 
 FORWARD_M = 0.325
-"""How far before the robot its forward point lies: dwa_local_planner's own."""
+"""Distance of the forward point ahead of the robot: dwa_local_planner's own."""
 STEP_S = 0.1
-"""Arcs are looked ahead in such steps."""
+"""Time step of the simulated arcs."""
 COMFORT_M = 0.3
-"""More room than this is worth nothing; with 0.2 the 13 BARN worlds take 9.4 s for 8.8."""
+"""More clearance than this is worth nothing; with 0.2 the 13 BARN worlds take 9.4 s instead of 8.8."""
 
 
 class ArcWeights(NamedTuple):
-    """How far arcs are driven in thought and what they cost; biases in metres of way for each metre."""
+    """The simulated time of an arc and its cost; weights in metres of path per metre."""
 
     time: float = 1.2
-    """What is looked ahead [s]."""
+    """Simulated time [s]."""
     braking: float = 0.0
     goal: float = 1.0
     path: float = 0.3
     ahead: float = FORWARD_M
-    """How far before the robot its forward point lies [m]."""
+    """Distance of the forward point ahead of the robot [m]."""
     room: float = 1.5
-    """Worth of a metre of room up to COMFORT_M."""
+    """Value of a metre of clearance, up to COMFORT_M."""
     least: float = 0.06
-    """With less room [m] no arc is admissible."""
+    """With less clearance [m] an arc is not admissible."""
     back: float = 1.5
-    """How many metres more of way a metre driven backwards counts as: it is slow, turning round pays."""
+    """Metres of path that a metre driven backwards counts in addition: it is slow, and turning round pays."""
     nose: float = 0.0
     """The forward point's distance to the path."""
     occupied: float = 0.0
@@ -96,29 +97,29 @@ class ArcWeights(NamedTuple):
 
 
 TURNING_M, PASSAGE_M = 0.04, 0.08
-"""Ways as wide as the circumscribed circle and the one are preferred, however long; narrower than the
-inscribed circle and the other they are not counted on. With 0.04 for both the jackal all but touches
-something (BARN 250: 0.0 m for 0.036), with 0.08 for both it loses its way in one of 13 worlds."""
+"""Passages wider than the circumscribed circle plus the first are preferred, however long the way; those
+narrower than the inscribed circle plus the second are not used. With 0.04 for both the jackal almost touches
+something (BARN 250: 0.0 m instead of 0.036), with 0.08 for both it gets stuck in one of 13 worlds."""
 
 
 TUTORIAL_WINDOW = Window(
     max_v=0.26, min_v=-0.26, max_w=2.75, vx_samples=20, vth_samples=40, settle_distance=0.2
 )
-"""turtlebot3_navigation's. From the settling distance on, every arc of the least speed, half of the highest,
-over the time looked ahead would end beyond the goal."""
+"""turtlebot3_navigation's. Within the settling distance, every arc at the least speed, half of the highest,
+would end beyond the goal after the simulated time."""
 TUTORIAL_BURGER = ArcWeights(
     time=1.5, goal=20.0, path=32.0, nose=32.0, room=0.0, least=0.0, back=0.0, occupied=0.02, least_w=1.37
 )
 """turtlebot3_navigation's dwa_local_planner_params_burger.yaml."""
 TUTORIAL_WAFFLE = TUTORIAL_BURGER._replace(time=2.0, least_w=0.9)
-"""dwa_local_planner_params_waffle.yaml: looked ahead for longer, turned more slowly."""
+"""dwa_local_planner_params_waffle.yaml: longer simulated time, slower turns."""
 OPENED_V = 0.25
-"""The tutorial's acc_lim_x of 2.5 m/s^2 is not taken, a burger tips above 1.3; but the speeds it opens in
-0.1 s are: else the least speed is out of reach from a standstill."""
+"""The tutorial's acc_lim_x of 2.5 m/s^2 is not used, because a burger tips above 1.3; but the speeds that it
+opens in 0.1 s are, because the least speed is out of reach from a standstill otherwise."""
 
 
 def numbers(config: DwaConfig, model: RobotModel) -> tuple[Window, ArcWeights]:
-    """Which arcs are tried, and what they cost."""
+    """The arcs that are tried, and their cost."""
     if config.preset == "own":
         return Window(), ArcWeights()
     window = TUTORIAL_WINDOW._replace(time=OPENED_V / (ACCELERATION_SHARE * model.max_dv))
@@ -163,7 +164,7 @@ class Dwa(Ramped):
         return ramped(self._best_arc(pose, last, costmap), last, self.limits)
 
     def _look_at(self, pose: SE2, costmap: Costmap) -> None:
-        """Distances to goal and path over the floor, anew when the floor has changed."""
+        """Distances to goal and path over the floor, computed again when the floor has changed."""
         if costmap is self._costmap:
             return
         self._costmap = costmap
@@ -193,9 +194,9 @@ class Dwa(Ramped):
         lowest = min(max(c.min_v, -limits.max_v), 0.0)
         vs = np.linspace(max(last.v - dv, lowest), min(last.v + dv, limits.max_v), c.vx_samples)
         ws = np.linspace(max(last.w - dw, -limits.max_w), min(last.w + dw, limits.max_w), c.vth_samples)
-        # dwa_local_planner: an exact zero joins when the window straddles it.
+        # as in dwa_local_planner, an exact zero is added when the window straddles it
         vs, ws = np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
-        # Nearer than that to the goal the forward point would hold the robot back.
+        # nearer to the goal than that, the forward point would hold the robot back
         near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < FORWARD_M
         ahead = 0.0 if near else FORWARD_M
         weights = self._weights._replace(braking=ACCELERATION_SHARE * limits.max_dv, ahead=ahead)
@@ -222,10 +223,10 @@ def best_arc(
     ws: Array,
     c: ArcWeights,
 ) -> tuple[float, float]:
-    """The (v, w) of least cost among vs x ws from a pose in the grid frame; (0, 0): none is admissible.
+    """The (v, w) of least cost among vs x ws from a pose in the grid frame; (0, 0) if none is admissible.
 
-    An arc is admissible when the robot can stop before the place where it would come nearer than the least
-    room; one that starts too near may only get freer.
+    An arc is admissible if the robot can stop before its clearance falls below the least one; an arc that
+    starts with less may only gain clearance.
     """
     clearance, resolution = floor.clearance, floor.resolution
     x, y, yaw = pose
@@ -234,7 +235,7 @@ def best_arc(
     # More room than this makes no difference.
     enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
     here = footprint_clearance(clearance, resolution, footprint, x, y, yaw)
-    # Where no way leads to the goal: longer than any way over the cells.
+    # Distance from where no way leads to the goal: longer than any way over the cells.
     base = _value(floor.to_goal, resolution, x, y, clearance.size * resolution)
     judged = round(c.time / STEP_S)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
@@ -242,7 +243,7 @@ def best_arc(
         for w in ws:
             if abs(v) < c.least_v and abs(w) < c.least_w:
                 continue
-            # Long enough to see the stopping distance.
+            # Long enough to include the stopping distance.
             horizon = max(c.time, abs(v) / c.braking + STEP_S)
             steps = math.ceil(horizon / STEP_S)
             room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S
@@ -254,11 +255,11 @@ def best_arc(
                 if center - circumscribed > enough:
                     d = center - circumscribed
                 else:
-                    # With nothing within the circle nothing is within the polygon: its outline decides.
+                    # If nothing is within the circle, nothing is within the polygon: its outline decides.
                     checked = edge if center > circumscribed + resolution else footprint
                     d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
                 if d < c.least and d <= here:
-                    # It stops here at the latest: what counts is where it got to.
+                    # It stops here at the latest, so this is the end of the arc.
                     if abs(v) * (i - 1) * STEP_S < stop_needed or i <= 2:
                         admissible = False
                     break

@@ -20,7 +20,7 @@ TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial
 HYSTERESIS = 1.2
 """Once inside, the tolerances are this much wider until the goal counts as reached (not measured)."""
 STOPPED_V, STOPPED_W = 0.01, 0.06
-"""Slower than this the robot stands still [m/s, rad/s]."""
+"""Below these speeds the robot stands still [m/s, rad/s]."""
 
 
 class GoalCheckerConfig(Settings, allow_inf_nan=False):
@@ -30,7 +30,7 @@ class GoalCheckerConfig(Settings, allow_inf_nan=False):
     xy_goal_tolerance: float | None = Field(default=None, gt=0.0)
     yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)
     hold: Seconds = 0.3
-    """Seconds it must hold."""
+    """Seconds for which the pose must hold."""
     stop: bool = True
     """Whether the robot must stand still there; otherwise passing by is enough."""
 
@@ -41,7 +41,7 @@ class GoalCheckerConfig(Settings, allow_inf_nan=False):
 
 
 PASSING = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
-"""A place to look from is passed, in any heading."""
+"""Viewpoints are passed, in any heading."""
 
 
 class GoalChecker:

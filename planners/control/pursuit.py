@@ -15,28 +15,28 @@ from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 
 LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
-"""Lookahead time, and bounds of the lookahead distance.
-
-With 0.3 m at any speed a maze is passed at 2.7 cm in place of 5."""
+"""Lookahead time, and bounds of the lookahead distance. With a constant 0.3 m, a maze is passed at 2.7 cm
+instead of 5."""
 TURN_FIRST_RAD, TURNED_RAD = 0.75, 0.35
-"""A bearing to the path, or the goal, beyond the first is turned away on the spot until it is the second."""
+"""A bearing to the path, or the goal, larger than the first is reduced by turning on the spot until it is
+below the second."""
 NEAR_M, SLOWEST = 0.2, 0.35
-"""With less room than this the robot slows down, in proportion, to this part of the top speed at least.
-
-Without it a maze is passed at 3.4 cm in place of 5."""
+"""With less clearance than this the robot slows down in proportion, at least to this share of the top speed.
+Without it a maze is passed at 3.4 cm instead of 5."""
 SETTLE_M = 0.12
-"""From here on the goal itself is steered for."""
+"""Within this distance the robot steers for the goal itself."""
 SETTLED = 0.012
-"""How near the goal [m] the robot settles before it turns to the goal's yaw, and how near to that [rad]."""
+"""Distance to the goal [m] at which the robot turns to the goal's yaw, and tolerance of that [rad]."""
 RELEASE_M = TOLERANCES["default"][0]
-"""Drifting this far off while turning makes the robot settle again."""
+"""If it drifts this far off while turning, it settles again."""
 BRAKING = 0.6
-"""Part of the asked braking that is planned with along the path; with all, a jackal ends 1.6 cm off."""
+"""Share of the commanded braking that speeds along the path are planned with; with all, a jackal ends 1.6 cm
+off."""
 MAX_LATERAL = 1.2
 """Most lateral acceleration [m/s^2]."""
 GAIN = 1.5
-"""By how much of what is left [m, rad] it drives to the goal, and twice as fast turns on the spot [1/s]:
-slower than any of the robots can brake."""
+"""Gain of the approach to the goal on the remaining distance and angle, and twice that for turns on the spot
+[1/s]: slower than any of the robots can brake."""
 
 
 class Pursuit(Ramped):
@@ -53,7 +53,7 @@ class Pursuit(Ramped):
         self._s = 0.0
 
     def set_path(self, poses: SE2) -> None:
-        """Follow a new path; where the robot is on it is looked for from its start."""
+        """Follow a new path; the robot's position on it is searched from its start."""
         self._points = np.ascontiguousarray(poses.xy)
         self._lengths = arc_lengths(self._points)
         bends = curvature_along(self._points, self._lengths, LOOKAHEAD_M[0])
@@ -66,9 +66,9 @@ class Pursuit(Ramped):
         self._goal = (x, y, yaw)
         self._s = 0.0
         if same_goal and self.state == "follow":
-            # A new path under way: no stop, unless it leads elsewhere.
+            # A new path while driving: no stop, unless it leads elsewhere.
             return
-        # A path of some length means that the robot is not where it was thought to settle.
+        # A path of some length means that the robot is not at the goal after all.
         near = len(self._lengths) > 0 and self._lengths[-1] < LOOKAHEAD_M[1]
         if not (same_goal and near and self.state in ("settle", "align", "arrived")):
             self.state = "turn"
@@ -132,7 +132,7 @@ class Pursuit(Ramped):
         if self.state == "settle":
             steer = wrapped(bearing + math.pi) if backwards else bearing
             ahead = distance * math.cos(steer)
-            # Done when near enough, or when the closest point of this straight run is reached.
+            # Done if near enough, or at the closest point of this straight run.
             if distance < SETTLED or (distance < RELEASE_M * 0.8 and ahead < 0.003):
                 self.state = "align"
             elif abs(steer) > TURNED_RAD and distance > SETTLED:
@@ -148,7 +148,7 @@ class Pursuit(Ramped):
         return Twist(0.0, 0.0 if self.state == "arrived" else self._turning_speed(error))
 
     def _turning_speed(self, error: float) -> float:
-        """Fast while far off, and slow enough to stop on the mark."""
+        """Fast at a distance, and slow enough to stop at the goal."""
         return math.copysign(min(self.limits.max_w, 2.0 * GAIN * abs(error)), error)
 
 

@@ -33,7 +33,7 @@ class SequenceConfig(Settings, allow_inf_nan=False):
 
 @dataclass(frozen=True, eq=False)
 class GoalOutcome:
-    """What became of one goal; `started_ns` to `ended_ns` is the time it was pursued."""
+    """The outcome of a goal; it was pursued from `started_ns` to `ended_ns`."""
 
     index: int
     waypoint: Waypoint
@@ -73,7 +73,7 @@ class GoalSequence:
 
     @property
     def total(self) -> int:
-        """How many goals there are, laps and second tries counted."""
+        """The number of goals, including laps and second tries."""
         return len(self._queue)
 
     @property
@@ -117,7 +117,7 @@ class GoalSequence:
         return self.goal
 
     def postpone(self, span_ns: int) -> None:
-        """The goal could not be pursued for a while: its time, or the wait before it, lasts longer."""
+        """The goal could not be pursued for a while: its time, or the wait before it, is extended."""
         if self._resume_ns is not None:
             self._postponed_ns += span_ns
 
@@ -136,7 +136,7 @@ class GoalSequence:
             self._queue += [o.waypoint for o in self.outcomes if o.status in ("timeout", "unreachable")]
 
     def close_all(self, status: Status, reason: str, now_ns: int) -> None:
-        """Give the goal pursued, and every one still to come, this end; bad entries stay `rejected`."""
+        """End the current goal and all later ones with this status; bad entries stay `rejected`."""
         if self._active:
             self.close(status, reason, now_ns)
         while self.index + 1 < len(self._queue):

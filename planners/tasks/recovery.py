@@ -18,10 +18,10 @@ from turtlebag.datasets.types import Twist
 Kind = Literal["wait", "clear", "back_up", "rotate"]
 
 
-# Less of a move [m] or a turn [rad] is none; driven so far [m] on, the ladder starts from its foot again.
+# A smaller move [m] or turn [rad] does not count; after driving this far on [m], the sequence starts over.
 MOVED_M, MOVED_RAD, PROGRESS_M = 0.06, 0.25, 0.5
 ROTATE_W = 0.6
-"""How fast it turns [rad/s]."""
+"""Turning speed [rad/s]."""
 
 
 class Rung(Settings, allow_inf_nan=False):
@@ -70,13 +70,13 @@ class Wait:
     name: str = "recover_wait"
 
     def command(self, now_ns: int, pose: SE2) -> Twist | None:
-        """Nothing, for a while."""
+        """Wait for a while."""
         return Twist() if now_ns < self.until_ns else None
 
 
 @dataclass
 class Move:
-    """Back up a distance or turn an angle, or as much of it as goes before a time."""
+    """Back up a distance or turn an angle, or as much of it as is possible before a time."""
 
     start: SE2
     twist: Twist
@@ -84,13 +84,13 @@ class Move:
     until_ns: int
     name: str
     turned: float = 0.0
-    """Since the start [rad], beyond a half turn, too."""
+    """Turn since the start [rad], also beyond a half turn."""
 
     def __post_init__(self) -> None:
         self._yaw = self.start.yaw
 
     def command(self, now_ns: int, pose: SE2) -> Twist | None:
-        """The constant twist until the amount is done."""
+        """A constant twist until the amount is done."""
         self.turned, self._yaw = self.turned + float(wrap(pose.yaw - self._yaw)), pose.yaw
         driven = float(np.linalg.norm(pose.xy - self.start.xy))
         done = driven if self.twist.v != 0.0 else abs(self.turned)
@@ -98,7 +98,7 @@ class Move:
 
 
 class Ladder:
-    """Which manoeuvre comes next, and when to give up."""
+    """Chooses the next manoeuvre, and when to give up."""
 
     def __init__(self, config: RecoveryConfig, clear: Callable[[], None]) -> None:
         self.config = config
@@ -107,22 +107,22 @@ class Ladder:
         self.used = 0
 
     def rest(self) -> None:
-        """Things go well again: start from the foot at the next trouble."""
+        """There is progress again: the next trouble starts with the first manoeuvre."""
         self._rung = 0
 
     @property
     def climbed(self) -> bool:
-        """Whether things have not gone well since a rung was used."""
+        """Whether there has been no progress since a manoeuvre."""
         return self._rung > 0
 
     def climb(
         self, now_ns: int, pose: SE2, room: Callable[[Twist, float], float] = lambda twist, amount: 0.0
     ) -> Manoeuvre | None:
-        """The next manoeuvre; None when there is none left.
+        """The next manoeuvre; None if there is none left.
 
-        `room` says how much room there is after a twist over an amount [m or rad], -inf when the robot
-        may not move so: of backing up and going on, and of turning either way, it takes what ends with
-        more room, the first of the two if equal, and waits a little when neither is possible.
+        `room` gives the clearance after a twist over an amount [m or rad], -inf if the robot may not move so.
+        Of backing up and driving on, and of turning either way, it takes the one that ends with more
+        clearance, the first of the two if equal, and waits a little if neither is possible.
         """
         if self._rung >= len(self.config.ladder) or self.used >= self.config.total:
             return None
@@ -153,7 +153,8 @@ class Ladder:
 
 
 class ProgressWatch:
-    """Notices that a robot has not moved or turned enough for some seconds; says so once, and begins anew."""
+    """Detects that a robot has not moved or turned enough for some seconds; reports it once, and starts
+    again."""
 
     def __init__(self, stuck_s: float, moved_m: float = MOVED_M, turned_rad: float = MOVED_RAD) -> None:
         self._stuck_s, self._moved_m, self._turned_rad = stuck_s, moved_m, turned_rad

@@ -22,11 +22,9 @@ ENTRY_KEYS = ("x", "y", "yaw", "quaternion", "wait")
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
-    """One entry: a pose in the map frame, or the reason why it is none.
-
-    `written` holds the x, y, yaw found in the file, NaN where a number is missing. `wait` is how long to
-    stay there [s]; None: as long as the patrol's configuration says.
-    """
+    """An entry: a pose in the map frame, or the reason why it is invalid. `written` holds the x, y, yaw found
+    in the file, NaN where a number is missing. `wait` is the time to stay there [s]; None: that of the
+    patrol's configuration."""
 
     T_map_goal: SE2 | None
     reason: str = ""
@@ -36,7 +34,7 @@ class Waypoint:
 
 @dataclass(frozen=True, eq=False)
 class WaypointFile:
-    """Waypoints in order, and polygons (n, 2) in the map frame that are kept out of."""
+    """Waypoints in order, and keep-out polygons (n, 2) in the map frame."""
 
     waypoints: tuple[Waypoint, ...]
     keepout: tuple[Array, ...] = ()
