@@ -68,7 +68,7 @@ def _localised(
     before = bytes_of(grid.cells, ranges, odometry)
     one: Localiser = made(localiser, Localiser, grid, LIDAR, SE2.identity(), AmclConfig(), rng)
     if one.initialised:
-        raise broken(one, "initialised: must be false before it was told a pose")
+        raise broken(one, "initialised: must be false before it has a pose")
     start = SE2(poses[0]) @ SE2.from_xyt(0.1, -0.1, 0.05)
     one.initialise(start, None, SE2(odometry[0]))
     if not one.initialised or max(apart(one.T_map_odom, start @ SE2(odometry[0]).inverse())) > 1e-6:

@@ -134,7 +134,7 @@ def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
         raise broken(matcher, "confirms: must be true for the true pose")
     stays = one.match(clouds, query, place, start, ROUGH._replace(iterations=0)).T_map_base
     if max(apart(stays, SE2(start))) > 1e-6:
-        raise broken(matcher, "match: with no iterations the fit at the start is told")
+        raise broken(matcher, "match: with no iterations it must return the fit at the start")
     nowhere = _matched(matcher, clouds, query, place, start + np.array([60.0, 0.0, 0.0]))
     if nowhere[2] != 0.0 or nowhere[1].any():
         raise broken(matcher, "match: where nothing is seen overlap and information must be zero")
@@ -158,7 +158,7 @@ def _matched(
 
 
 def check_back_end(back_end: Callable[[], BackEnd]) -> None:
-    """A lap of thirty poses whose steps and loop agree, then with a loop that lies.
+    """A lap of thirty poses whose steps and loop agree, then with a wrong loop.
 
     AssertionError in one line says what the contract, `turtlebag.pipeline.slam.back_end.BackEnd`, asks.
     """
@@ -175,7 +175,7 @@ def check_back_end(back_end: Callable[[], BackEnd]) -> None:
     for graph, most, said in (
         (exact, 1e-3, "steps and loops that agree"),
         ([*exact, silent], 1e-3, "a constraint without information"),
-        ([*exact, lie], 0.05, "a loop that lies, under a Cauchy kernel"),
+        ([*exact, lie], 0.05, "a wrong loop under a Cauchy kernel"),
     ):
         found, again = (_optimised(back_end, start, graph) for _ in range(2))
         if bytes_of(found.xyt) != bytes_of(again.xyt):

@@ -1,4 +1,4 @@
-"""Clouds taken apart, and copies of bags: what is counted, kept and named."""
+"""Decoded clouds, and copies of bags: what is counted, kept and named."""
 
 import math
 import struct

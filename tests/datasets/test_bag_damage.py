@@ -1,4 +1,4 @@
-"""Crashes, cuts and flipped bytes: what is read is right, what is lost is said, little is lost."""
+"""Crashes, truncation and flipped bytes: what is read is right, losses are small and reported."""
 
 import os
 import signal

@@ -1,4 +1,5 @@
-"""Stopped clocks, two lasers on one topic, millimetres, absurd places: reported, and fixed for mapping."""
+"""Stopped clocks, two lasers on one topic, millimetres, absurd places: reported, and corrected for
+mapping."""
 
 import numpy as np
 import pytest

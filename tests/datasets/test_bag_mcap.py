@@ -1,4 +1,4 @@
-"""MCAP files as the official writer makes them, in all its ways and in ours."""
+"""MCAP files of the official writer with all its options, and ours."""
 
 import pytest
 import yaml

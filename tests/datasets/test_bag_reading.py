@@ -1,4 +1,4 @@
-"""What is told of a bag and read from it for mapping, at the limits."""
+"""Contents and mapping input of a bag, at the limits."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""ROS 1 bags read front to back: as rosbags reads them, and further where they are cut."""
+"""ROS 1 bags read front to back: as rosbags reads them, and as far as possible when truncated."""
 
 import struct
 

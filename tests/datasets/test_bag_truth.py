@@ -1,4 +1,4 @@
-"""Mapping cannot see the truth: without it in the bag and beside it, the map is the same."""
+"""Mapping cannot see the truth: without it in the bag or beside it, the map is the same."""
 
 import json
 

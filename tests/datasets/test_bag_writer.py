@@ -1,4 +1,4 @@
-"""Bags as others see them: against rosbags' own serialiser and the official mcap reader."""
+"""Our bags as read by others: rosbags' own serialiser and the official mcap reader."""
 
 import hashlib
 import math

@@ -1,4 +1,4 @@
-"""Files that only save work: never other bytes than were kept, whatever happens to the folder."""
+"""Cache files: never other bytes than were stored, whatever happens to the folder."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""CARMEN logs: what the lines mean, and what damaged ones do."""
+"""CARMEN logs: the meaning of their lines, and damaged ones."""
 
 import bz2
 import gzip

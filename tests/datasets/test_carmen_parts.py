@@ -1,4 +1,4 @@
-"""CARMEN's numbers and units that cannot be, function by function, at their limits."""
+"""Implausible numbers and units, function by function, at their limits."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,5 @@
-"""Beams are sent from where the base was, on arcs of constant twist between the knots of its motion."""
+"""Each beam starts from the base's pose at its time, on arcs of constant twist between the knots of the
+motion."""
 
 import numpy as np
 import pytest

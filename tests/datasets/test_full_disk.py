@@ -1,4 +1,4 @@
-"""A disk that is full, a folder where nobody may write: exit 2, one line, nothing left behind."""
+"""A full disk, a read-only folder: exit 2, one line, nothing left behind."""
 
 import ctypes
 import os

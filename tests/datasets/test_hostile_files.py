@@ -1,4 +1,4 @@
-"""Files that unpack beyond all measure, and what is no file at all: refused in one line, soon."""
+"""Decompression bombs and things that are not files: refused in one line, quickly."""
 
 import bz2
 import gzip

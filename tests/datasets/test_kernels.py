@@ -1,4 +1,4 @@
-"""Compiled kernels: never of sources that are no more, and kept wherever there is a place for them."""
+"""Compiled kernels: never outdated, and cached wherever there is a place."""
 
 import importlib
 import os

@@ -1,4 +1,4 @@
-"""A map of ours read by a program that shares nothing with ours, as map_server, Nav2 and a costmap do."""
+"""Our maps read by an independent program, as map_server, Nav2 and a costmap do."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is not ours is never replaced or removed, and only one process writes an output."""
+"""Nothing that is not ours is replaced or removed, and only one process writes an output."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Beams that see the robot itself are left out, and no others."""
+"""Beams that hit the robot itself are left out, and no others."""
 
 from dataclasses import replace
 

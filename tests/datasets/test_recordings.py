@@ -1,4 +1,4 @@
-"""Whatever the bag's kind and habits: the same scans, odometry and laser pose come out."""
+"""Whatever a bag's format and conventions, scans, odometry and laser pose are the same."""
 
 import math
 import shutil

@@ -1,4 +1,4 @@
-"""Beams whose number or angles are not what one would think: the walls stay straight."""
+"""Unusual numbers and angles of beams: the walls stay straight."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Where the lidar sits and which way up: told by the bag, by an option, or by nobody."""
+"""The lidar's pose and which way up it is: from the bag, from an option, or unknown."""
 
 import logging
 import math

@@ -1,4 +1,4 @@
-"""The registry of public logs: what it says is true of the files, and no other file passes for them."""
+"""The registry of public logs: its descriptions are true, and it accepts no other file."""
 
 import re
 import shutil

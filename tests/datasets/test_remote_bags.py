@@ -1,4 +1,4 @@
-"""Bags behind a URL: an mcap by the ranges that are needed, everything else whole."""
+"""Remote bags: of an mcap only the needed byte ranges, everything else as a whole."""
 
 import shutil
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is a return and what is none, whichever way a driver says so."""
+"""Returns and their absence, by every convention of drivers."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Trajectories of other systems: three formats, one content; what is none is refused in one line."""
+"""Trajectories of other systems: three formats with one content; other files are refused in one line."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A filter in the room of `localisation_room`, and what it would see from a pose there."""
+"""A filter in the room of `localisation_room`, and the scan it would see from a pose there."""
 
 import numpy as np
 

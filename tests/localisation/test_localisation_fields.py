@@ -1,4 +1,4 @@
-"""What the map says of beams and poses, beside plain NumPy: fields, paths, views, free space."""
+"""Likelihood field, beam paths, views and free space, beside plain NumPy."""
 
 import math
 

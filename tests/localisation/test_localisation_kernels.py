@@ -1,4 +1,4 @@
-"""The filter's compiled loops and their neighbours beside plain NumPy."""
+"""The filter's compiled loops, beside plain NumPy."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Places that look alike: found in a room that is its own mirror, told apart where it is not."""
+"""Pose hypotheses: found in a room that is its own mirror image, and decided in one that is not."""
 
 import math
 

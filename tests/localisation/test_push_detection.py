@@ -1,4 +1,5 @@
-"""A standing robot: its estimate stays, whoever walks past, and follows when someone pushes it."""
+"""Push detection: the estimate of a standing robot stays when people walk past, and follows when it is
+pushed."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Places that look alike: hypotheses are found and told apart, and only then are goals counted."""
+"""Active disambiguation: pose hypotheses are found and decided between, and only then do goals count."""
 
 import dataclasses
 import math

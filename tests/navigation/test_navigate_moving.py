@@ -1,4 +1,4 @@
-"""Things that move are told from those that stand; the robot stands still for them, and finds a way out."""
+"""Moving obstacles are distinguished from static ones; the robot stops for them, and finds a way out."""
 
 import numpy as np
 

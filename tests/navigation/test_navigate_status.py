@@ -1,4 +1,4 @@
-"""What a person is told of a run: lines as they come, and a verdict and an exit code by the truth."""
+"""Status lines during a run, and a verdict and an exit code by ground truth."""
 
 import json
 import re

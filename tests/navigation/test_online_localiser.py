@@ -1,4 +1,4 @@
-"""What a run publishes of its localiser."""
+"""The topics that a run publishes from its localiser."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,5 @@
-"""SLAM while driving: fed scan by scan it is the offline mapper's; what stops the robot unseen is noticed."""
+"""Mapping while driving: scan by scan as the offline mapper; obstacles that the lidar cannot see are
+noticed."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A robot that is lost, carried off, or blind: it stops, finds out, goes on, or says why not."""
+"""Relocalisation: a robot that is lost, kidnapped or blind stops, recovers its pose, or gives a reason."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""The checks of parts: ours pass them, and each way to break a contract is told in one line."""
+"""The checks of parts: ours pass, and each way to break a contract gives one line."""
 
 import pytest
 
@@ -79,7 +79,7 @@ def world(part):
         ),
         (testing.check_loop_match, parts.Denies, "confirms: must be true for the true pose"),
         (testing.check_back_end, parts.Idle, "steps and loops that agree: 0."),
-        (testing.check_back_end, parts.Gullible, "a loop that lies, under a Cauchy kernel"),
+        (testing.check_back_end, parts.Gullible, "a wrong loop under a Cauchy kernel"),
         (testing.check_back_end, parts.Floats, "the first pose must be held"),
         (testing.check_back_end, parts.Fewer, "optimise: poses must be an array of shape (30, 3)"),
         (testing.check_localiser, parts.Deaf, "not known after a scan: the filter has no pose yet"),

@@ -1,4 +1,4 @@
-"""A class named `module:Class`: found, held to its contract, told apart from ours, and told of."""
+"""User-defined parts by `module:Class`: found, checked against their contract, and named in the manifest."""
 
 import json
 import sys

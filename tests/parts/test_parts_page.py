@@ -1,4 +1,4 @@
-"""What the page about parts says, done: its code runs, and its table names what there is."""
+"""The page about parts: its code runs, and its table names existing things."""
 
 import re
 import sys

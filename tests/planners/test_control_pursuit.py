@@ -1,4 +1,4 @@
-"""Pursuit's laws by their formulas, for a robot that follows every command at once."""
+"""Pure pursuit by its formulas, for a robot that follows every command at once."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Frontiers: where they are, and which one is looked at next."""
+"""Frontiers: where they are, and which one is visited next."""
 
 import numpy as np
 

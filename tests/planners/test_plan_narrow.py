@@ -1,4 +1,4 @@
-"""Ways with no room to spare: every one there is is found, and none that there is not."""
+"""Narrow passages: every path that exists is found, and none that does not."""
 
 import math
 

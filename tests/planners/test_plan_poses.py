@@ -1,4 +1,4 @@
-"""The poses along a way through the lattice, and what DWA looks at, by hand-computed cases."""
+"""The poses of a lattice path, and the arcs that DWA considers, by hand-computed cases."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""How a path is looked for, step by step: cells, margins, the planner's runs."""
+"""Path search step by step: cells, margins, the planner's runs."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The rolling window: what it keeps, what it forgets, how big it stays, and goals beyond it."""
+"""The rolling costmap: what it keeps and forgets, its constant size, and goals beyond it."""
 
 import math
 

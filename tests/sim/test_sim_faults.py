@@ -1,4 +1,4 @@
-"""Faults on purpose: late commands, late, lost and silent sensors."""
+"""Fault injection: late commands; late, lost and silent sensors."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The IMU: what it feels while the robot drives, its noise and its bias."""
+"""The IMU while the robot drives: its signal, noise and bias."""
 
 import numpy as np
 import pytest

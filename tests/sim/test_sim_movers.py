@@ -1,4 +1,4 @@
-"""Movers: where they go, and that lidar, contacts and clearance know them."""
+"""Movers: where they go, and that lidar, contacts and clearance include them."""
 
 import dataclasses
 

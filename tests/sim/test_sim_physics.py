@@ -1,4 +1,4 @@
-"""The robot moves by its wheels only, and its odometry can be wrong."""
+"""The robot is moved by its wheels only, and its odometry can be wrong."""
 
 import numpy as np
 import pytest

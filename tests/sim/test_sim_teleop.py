@@ -1,4 +1,4 @@
-"""Teleop scripts in any world: where they lead, how they move, and that they touch nothing."""
+"""Teleop scripts in any world: their routes, their motion, and that they touch nothing."""
 
 import itertools
 

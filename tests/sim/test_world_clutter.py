@@ -1,4 +1,4 @@
-"""Clutter off the map: where it may stand, what it leaves free, that it repeats."""
+"""Unmapped clutter: where it may be, what it leaves free, that it repeats."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Gazebo worlds come in: shapes, nested poses, includes, meshes with their units."""
+"""Gazebo worlds: shapes, nested poses, includes, meshes with their units."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The scans find the odometry's systematic errors, also where it lies for a while."""
+"""The odometry's systematic errors are calibrated by the scans, also if it is wrong for a while."""
 
 import numpy as np
 import pytest

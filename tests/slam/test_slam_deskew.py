@@ -1,4 +1,4 @@
-"""A scan of a wall taken while the robot drives and turns comes out straight: as points, and in the grid."""
+"""A scan of a wall taken while driving and turning comes out straight: as points, and in the grid."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""How far off one key scan may lie as seen from another, and the gates that follow from it."""
+"""Drift: the uncertainty of a key scan relative to another one, and the gates that follow from it."""
 
 import numpy as np
 import pytest

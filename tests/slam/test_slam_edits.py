@@ -1,4 +1,4 @@
-"""Loops that a person rejects or adds."""
+"""Loops that the user rejects or adds."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is told of a map, from a result made by hand."""
+"""The explanation of a map, from a result made by hand."""
 
 import math
 from types import SimpleNamespace

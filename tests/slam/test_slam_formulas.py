@@ -1,4 +1,4 @@
-"""Sessions joined, scans carried, pairs, the graph and the self-check, by formulas."""
+"""Joined sessions, interpolated scan poses, pairs, residuals and the self-check, by formulas."""
 
 import itertools
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Front ends and loop matchers by name: what each maps, what it must not change, and a user's own one."""
+"""Front ends and loop matchers by name: the map of each, what it must not change, and a user-defined one."""
 
 import json
 from dataclasses import replace

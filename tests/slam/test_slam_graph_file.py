@@ -1,4 +1,4 @@
-"""The whole graph saved, read back exactly, and gone on with."""
+"""The graph file: saved, read back exactly, and extended."""
 
 import json
 from dataclasses import fields, replace

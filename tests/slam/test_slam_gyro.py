@@ -1,4 +1,4 @@
-"""The gyro as evidence of rotation: used where it proves itself, refused where it does not."""
+"""The gyro as evidence of rotation: used if it is credible, rejected if it is not."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""What goes wrong in real logs: the map is right all the same, or the output says where it is doubtful."""
+"""Defects of real logs: the map is right all the same, or the output says where it is doubtful."""
 
 from dataclasses import replace
 from functools import cache

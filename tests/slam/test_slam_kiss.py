@@ -1,4 +1,4 @@
-"""KISS-ICP as it is asked: how far it looks for partners, and what it answers where there is nothing."""
+"""KISS-ICP in our wrapper: its search radius, and its result without map or points."""
 
 import math
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""How a scan becomes points with lines, beside plain NumPy: growing lines, bearings, the sweep's motion."""
+"""Points with surface lines beside plain NumPy: growing lines, bearings, the motion during a sweep."""
 
 import math
 

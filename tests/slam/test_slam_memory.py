@@ -1,4 +1,4 @@
-"""What stays in memory while a map is made, and what is not made twice: counted, not timed."""
+"""Memory of the mapper, and work that is not done twice: counted, not timed."""
 
 import subprocess
 import sys

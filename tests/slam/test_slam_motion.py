@@ -1,4 +1,4 @@
-"""Known answers of a robot in motion: sweeps undone, corrections shared out, odometry's errors believed."""
+"""Known answers of a moving robot: deskewing, blended corrections, odometry errors."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A laser that faces another way than its transform says."""
+"""A laser that faces another direction than its transform says."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What the log itself tells of its sensors: the noise of ranges and lines, the motion during a sweep."""
+"""Noise estimated from the log itself: of ranges and lines, and the motion during a sweep."""
 
 import math
 from dataclasses import replace

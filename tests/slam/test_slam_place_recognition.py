@@ -1,4 +1,4 @@
-"""Places recognised where drift is larger than any gate - and never where a building repeats itself."""
+"""Places are recognised where drift exceeds every gate, but never in buildings that repeat themselves."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Worlds without surfaces, logs in which only the scans say how the robot moved, and work in parts."""
+"""Worlds without surfaces, logs without odometry, and work in parts."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""What ranges are off by, learnt from scans that saw the same walls from near and far."""
+"""Range errors, calibrated from scans that saw the same walls from near and far."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""The self-check names each thing that is wrong, and nothing where all is well."""
+"""The self-check reports each defect of a map, and nothing for a good one."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Finding a place without a guess, and several recordings in one map."""
+"""Place recognition without an initial guess, and several recordings in one map."""
 
 from dataclasses import replace
 

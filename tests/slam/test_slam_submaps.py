@@ -1,4 +1,4 @@
-"""Places by their looks and which of them can be true together, by formulas."""
+"""Submaps compared by appearance, and which recognised places can be true together, by formulas."""
 
 import itertools
 import math

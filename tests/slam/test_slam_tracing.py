@@ -1,4 +1,4 @@
-"""Beams into cells and scans into fields, compiled, beside plain NumPy."""
+"""Compiled beam tracing and matching fields, beside plain NumPy."""
 
 import math
 

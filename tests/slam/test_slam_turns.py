@@ -1,4 +1,4 @@
-"""Odometry that runs behind the scans or ahead of them, or turns the other way: found, undone and said."""
+"""Odometry that is late, early or mirrored: found, corrected and reported."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""How far off key scans may lie: the graph's covariance, against GTSAM's and against drawn maps."""
+"""Position uncertainty of key scans: the graph's covariance against GTSAM's and against sampled maps."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What scans and a gyro teach about the wheels, by formulas."""
+"""Wheel calibration by scans and by a gyro, by formulas."""
 
 import math
 

@@ -1,4 +1,5 @@
-"""3D mapping by numbers: a drive around a room, with and without wheels, damaged, and hung up unknown."""
+"""3D mapping by numbers: a drive around a room, with and without wheels, damaged, and with unknown
+mounting."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Truth in the place of one part: only where it may be, and it does what it says."""
+"""Parts replaced by ground truth: only where allowed, and with the stated effect."""
 
 import ast
 from pathlib import Path

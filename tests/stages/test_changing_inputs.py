@@ -1,4 +1,4 @@
-"""Recordings that change while they are read: one line, and nothing of the mixture is kept."""
+"""Recordings that change while they are read: one line, and no output of the mixture."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The whole way, by numbers: record, map, navigate, report, as the page of the tutorial goes it."""
+"""From end to end, by numbers: record, map, navigate and report, as in the tutorial."""
 
 import json
 import re

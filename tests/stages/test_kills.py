@@ -1,8 +1,4 @@
-"""Commands killed at any moment and given again: they finish, with the bytes of undisturbed ones.
-
-The tests kill one command once; with TURTLEBAG_KILLS=N, as `make bench-bags` sets it, every command that
-writes is killed N times, at moments drawn evenly over its length.
-"""
+"""Commands killed at any moment and run again: they finish, with the bytes of undisturbed ones."""
 
 import multiprocessing
 import os

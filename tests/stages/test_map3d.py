@@ -1,4 +1,4 @@
-"""`turtlebag map` on bags with point clouds: which scans are taken, what is written, the same bytes again."""
+"""`turtlebag map` on point clouds: which scans are used, what is written, the same bytes again."""
 
 import json
 from pathlib import Path

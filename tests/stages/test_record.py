@@ -1,4 +1,4 @@
-"""Stage record: whole outputs, the same bytes for the same seed, and no truth where it does not belong."""
+"""Stage record: complete outputs, the same bytes for the same seed, and no truth in the wrong place."""
 
 import hashlib
 import itertools

@@ -1,4 +1,4 @@
-"""Campaigns of bags: what patterns name, a row for each bag, and everything in a store."""
+"""Campaigns over bags: patterns, a row for each bag, and everything in a store."""
 
 import json
 import threading

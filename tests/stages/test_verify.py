@@ -1,4 +1,4 @@
-"""Verification finds every kind of lie in a report, and nothing in an honest one."""
+"""Verification finds every wrong number in a report, and nothing in a correct one."""
 
 import json
 import re
