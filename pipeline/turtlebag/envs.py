@@ -1,8 +1,8 @@
 """Gymnasium environments, for which gymnasium must be installed: `pip install 'turtlebag[envs]'`.
 
-`gymnasium.make("turtlebag.envs:TurtleBag/Goal-v0")` makes the one there is.
+`gymnasium.make("turtlebag.envs:TurtleBag/Goal-v0")` creates the only one.
 
-What the robot observes is what its sensors say; rewards are a judge's and go by the truth.
+Observations are sensor data; rewards are computed from ground truth.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ except ImportError:
 STEPS = 6
 """Control periods of 1/30 s in a step: as long as a turn of the lidar."""
 SECTORS = 36
-"""The scan is given as the nearest return in each of so many sectors, from straight ahead to the left."""
+"""The scan is reduced to the nearest return in each of this many sectors, from straight ahead to the left."""
 REACHED_M, NEAREST_M, ROOM_M = 0.25, 0.8, 0.1
-"""A goal is reached within, drawn no nearer than, and with so much room round the robot."""
+"""Distance at which a goal counts as reached, least distance of a new goal, and clearance around it."""
 FARTHEST_M = 100.0
 TRIES = 200
 
@@ -40,7 +40,7 @@ class GoalEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     Action (2,): forward and turning speed as shares -1..1 of the robot's limits, for 0.2 s.
     Observation (40,): 36 ranges [m] from straight ahead to the left; distance [m] and bearing [rad] of the
-    goal by the odometry; forward [m/s] and turning speed [rad/s]. Reward: metres come nearer to the goal, 10
+    goal by the odometry; forward [m/s] and turning speed [rad/s]. Reward: metres gained towards the goal, 10
     for reaching it, -10 for touching something; both end the episode. The same seed gives the same episode.
     """
 
@@ -89,7 +89,7 @@ class GoalEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._seen(observation), float(reward), bool(reached or touched), False, info
 
     def close(self) -> None:
-        """Give back what the physics takes."""
+        """Release the physics engine."""
         self._sim.close()
 
     def _distance(self) -> float:

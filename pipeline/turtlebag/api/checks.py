@@ -1,4 +1,4 @@
-"""What comes from a user's own arrays, checked at the door: one line says what is wrong."""
+"""Checks of a user's own arrays: each error is one line."""
 
 from __future__ import annotations
 
@@ -24,10 +24,8 @@ def require_kind(value: object, kind: type, what: str) -> None:
 
 
 def checked_scan(scan: Scan, last: Scan | None) -> Scan:
-    """A scan as the rest relies on it: increasing integer stamp [ns], (n_beams,) float32, one lidar.
-
-    Ranges may be inf or NaN (REP-117).
-    """
+    """A scan that meets the requirements: increasing integer stamp [ns], (n_beams,) float32, always the same
+    lidar. Ranges may be inf or NaN (REP-117)."""
     require_kind(scan, Scan, "scan")
     require_kind(scan.lidar, LidarSpec, "scan.lidar")
     stamp = _stamp(scan.stamp_ns, "scan.stamp_ns")
@@ -50,7 +48,7 @@ def checked_scan(scan: Scan, last: Scan | None) -> Scan:
 def checked_odometry(
     odometry: Pose | types.Trajectory | None, last: SE2 | types.Trajectory | None, first: bool
 ) -> SE2 | types.Trajectory | None:
-    """A pose, a trajectory whose stamps go on increasing, or None: what it was for the scans before."""
+    """A pose, a trajectory with increasing stamps, or None; the same kind as for the earlier scans."""
     found = odometry
     if isinstance(odometry, types.Trajectory):
         stamps = odometry.stamps_ns

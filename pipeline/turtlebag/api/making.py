@@ -1,4 +1,4 @@
-"""What all steps share: where files go, the command line that does the same, warnings and errors."""
+"""What all steps share: output folders, the equivalent command line, warnings and errors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PathLike = str | os.PathLike[str]
 Pose = SE2 | Sequence[float] | np.ndarray
 """x, y [m] and yaw [rad]: three numbers, or an SE2."""
 
-# Without a handler of its own a library's warnings would be printed.
+# Without a handler of its own, a library's warnings are printed.
 log.addHandler(logging.NullHandler())
 _printed = logging.StreamHandler()
 IN_PYTHON = {"set": "settings", "force": "force=True", "wiggle": "wiggle=True"}
@@ -41,7 +41,8 @@ FARTHEST = 1e9
 
 
 def verbose(on: bool = True) -> None:
-    """Show messages on stderr as the commands do, in a terminal progress bars too; False: nothing again."""
+    """Show messages on stderr as the commands do, with progress bars in a terminal; False turns this off
+    again."""
     show_bars(on)
     log.removeHandler(_printed)
     if on:
@@ -50,7 +51,7 @@ def verbose(on: bool = True) -> None:
 
 
 class TemporaryFolder:
-    """A folder that lives as long as somebody holds this."""
+    """A folder that exists as long as something refers to it."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="turtlebag-"))
@@ -59,7 +60,8 @@ class TemporaryFolder:
 
 @dataclass
 class Step:
-    """One step under way: its command, what must live as long as its result, and its warnings so far."""
+    """A running step: its command, the objects that must live as long as its result, and its warnings so
+    far."""
 
     verb: str
     out: Path
@@ -88,10 +90,11 @@ class Step:
 def step(
     verb: str, out: PathLike | None, *, force: bool = False, inputs: Mapping[str, PathLike | None]
 ) -> Iterator[Step]:
-    """Make an output in here: at `out`, or where that is None in a folder as short-lived as the result.
+    """Make an output within this context: at `out`, or if that is None, in a folder that lives as long as the
+    result.
 
-    What is wrong is an InputError in terms of Python, not of the command line. Inputs, by the names of their
-    arguments, must not change, and live as long as the result where they are objects.
+    An InputError names Python's arguments, not options of the command line. Inputs, by the names of their
+    arguments, must not change; those that are objects live as long as the result.
     """
     read = [path_of(one, what) for what, one in inputs.items() if one is not None]
     folder = None if out is not None else TemporaryFolder()
@@ -103,7 +106,7 @@ def step(
 
 @contextmanager
 def in_python() -> Iterator[None]:
-    """InputErrors of within name the arguments of Python in place of the command line's options."""
+    """InputErrors raised within name the arguments of Python instead of the command line's options."""
     try:
         yield
     except InputError as error:
@@ -117,7 +120,7 @@ def _argument(option: re.Match[str]) -> str:
 
 @contextmanager
 def _heard(notes: list[str]) -> Iterator[None]:
-    """Put the warnings of this thread into the list meanwhile."""
+    """Collect this thread's warnings in the list meanwhile."""
     me = threading.get_ident()
 
     class Listener(logging.Handler):
@@ -134,7 +137,7 @@ def _heard(notes: list[str]) -> Iterator[None]:
 
 
 def command_line(verb: str, *inputs: PathLike, **options: Any) -> list[str]:
-    """The command that does the same, for the manifest; options that are None or False are left out."""
+    """The equivalent command, for the manifest; options that are None or False are left out."""
     named = [os.fspath(one) for one in inputs]
     words = ["turtlebag", verb, *(f"./{path}" if path.startswith("-") else path for path in named)]
     for name, value in options.items():
@@ -155,12 +158,12 @@ def _option_text(value: Any) -> str:
 
 
 def in_a_line(value: object) -> str:
-    """A value in one line that is not too long."""
+    """A value as one line of limited length."""
     return textwrap.shorten(repr(value), 100, placeholder=" ...")
 
 
 def pose_of(value: Pose, what: str) -> SE2:
-    """A pose from three numbers; InputError names `what` when it is none."""
+    """A pose from three numbers; InputError names `what` if it is not one."""
     try:
         xyt = value.xyt if isinstance(value, SE2) else np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -183,12 +186,12 @@ def initial_pose_of(value: Pose | str | None, *words: str) -> SE2 | str | None:
 
 
 def pose_text(pose: SE2) -> str:
-    """A pose as the command line takes it, every digit kept."""
+    """A pose as the command line takes it, with all digits."""
     return ",".join(repr(float(number)) for number in pose.xyt)
 
 
 def laser_text(laser: Pose | None, upside_down: bool) -> str | None:
-    """The pose of a laser as the command line takes it; InputError for what is none."""
+    """The pose of a laser as the command line takes it; InputError if it is not one."""
     if laser is not None:
         return pose_text(pose_of(laser, "laser")) + (",upside-down" if upside_down else "")
     if upside_down:
@@ -197,7 +200,7 @@ def laser_text(laser: Pose | None, upside_down: bool) -> str | None:
 
 
 def text_of(value: PathLike, what: str, kind: str = "a name or a path") -> str:
-    """A name or a path as text; InputError names `what` when it is none."""
+    """A name or a path as text; InputError names `what` if it is neither."""
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
         shown = repr(value) if isinstance(value, str | bytes) else told_kind(value)
@@ -206,32 +209,30 @@ def text_of(value: PathLike, what: str, kind: str = "a name or a path") -> str:
 
 
 def path_of(value: PathLike, what: str) -> Path:
-    """A path; InputError names `what` when it is none."""
+    """A path; InputError names `what` if it is not one."""
     return Path(text_of(value, what, "a path"))
 
 
 def path_if(value: PathLike | None, what: str) -> Path | None:
-    """A path, where there is one."""
+    """A path, if there is one."""
     return None if value is None else path_of(value, what)
 
 
 def list_of(values: Iterable[Any], what: str) -> list[Any]:
-    """The values of any list; InputError names `what` when it is none, such as a text."""
+    """The values of any list; InputError names `what` if it is not one, such as a text."""
     if isinstance(values, str | bytes | os.PathLike) or not isinstance(values, Iterable):
         raise InputError(f"{what}: expected a list, not {told_kind(values)}")
     return list(values)
 
 
 def part_name(part: Any) -> Any:
-    """The name `module:Class` of a class of the user's; anything else as it is."""
+    """The name `module:Class` of a user's class; anything else unchanged."""
     return name_of(part) if inspect.isclass(part) else part
 
 
 def setting_words(settings: Mapping[str, Any] | None, **more: Any) -> list[str]:
-    """`{"loops.match": "open3d"}` as `loops.match=open3d`, which --set takes; classes by their names.
-
-    `more` are settings that have arguments of their own; None leaves them as they are.
-    """
+    """`{"loops.match": "open3d"}` as `loops.match=open3d`, which --set takes; classes by their names. `more`
+    are settings with arguments of their own; None does not change them."""
     if not isinstance(settings, Mapping | None):
         raise InputError(
             f'settings: expected a mapping such as {{"loops.match": "open3d"}}, not {told_kind(settings)}'
@@ -253,7 +254,7 @@ def _value_text(value: Any, key: str) -> str:
 
 
 def require_seed(seed: int) -> int:
-    """A seed; InputError for what is none."""
+    """A seed; InputError if it is not one."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"seed: expected a whole number, 0 or more, not {in_a_line(seed)}")
     return int(seed)

@@ -1,4 +1,4 @@
-"""Mapping and localising scan by scan, with observations of the simulator or with arrays of one's own."""
+"""Mapping and localising scan by scan, from the simulator's observations or your own arrays."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from turtlebag.sim.robots import load_robot
 
 
 class _Listener:
-    """Where the laser sits, and the order of what is heard."""
+    """The laser's pose on the robot, and checks of what is passed in."""
 
     def __init__(self, robot: PathLike, laser: Pose | None) -> None:
         self.T_base_lidar = (
@@ -45,7 +45,7 @@ class _Listener:
         self.observed_ns: int | None = None
 
     def heard(self, scan: Scan, odometry: Any) -> tuple[Scan, SE2 | types.Trajectory | None]:
-        """A scan and its odometry, checked against what came before; InputError says what is wrong."""
+        """A scan and its odometry, checked against the earlier ones; InputError names the problem."""
         checked = checked_scan(scan, self.scan)
         first = self.scan is None
         moved = checked_odometry(odometry, self.odometry, first)
@@ -53,7 +53,7 @@ class _Listener:
         return checked, moved
 
     def observed(self, observation: Observation) -> None:
-        """InputError for what is no observation, or not later than the last one."""
+        """InputError unless it is an observation, later than the last one."""
         require_kind(observation, Observation, "observation")
         if self.observed_ns is not None and observation.stamp_ns <= self.observed_ns:
             raise InputError(f"observation: its stamp {observation.stamp_ns} is not after the last one's")
@@ -61,12 +61,12 @@ class _Listener:
 
 
 class Mapper:
-    """Maps while the robot drives: every scan is placed as it comes, loops are closed a little at a time.
+    """Maps while the robot drives: each scan is placed at once, and loops are closed step by step.
 
-    Give it the observations of a simulator (`observe`), or scans of your own (`add`), not both. `robot` tells
-    where the laser sits, or `laser` does, its pose on the robot. The map's frame is the odometry's at the
-    first scan, the robot's own without odometry. Settings are those of `map`; `front_end` is a name or a
-    class. Work and memory grow with the area seen, not with the time driven.
+    Pass either the observations of a simulator (`observe`) or scans of your own (`add`), not both. `robot` or
+    `laser` gives the laser's pose on the robot. The map's frame is the odometry's at the first scan; without
+    odometry, the robot's. Settings are those of `map`; `front_end` is a name or a class. Work and memory grow
+    with the area seen, not with the time driven.
     """
 
     def __init__(
@@ -103,9 +103,9 @@ class Mapper:
         """Place a scan: x, y [m] and yaw [rad] of the base in the map at its stamp, (3,).
 
         `odometry` is the pose of the base in the odometry's frame at that stamp, or a trajectory of it since
-        the last scan's, to the end of the sweep; the same kind for every scan, or none. `imu` are the samples
-        since the last scan. InputError for stamps that do not increase, arrays of another shape, numbers that
-        are not finite, and kinds that change; the scan is then not taken in.
+        the last scan's, to the end of the sweep; the same kind, or none, for every scan. `imu` are the
+        samples since the last scan. InputError for stamps that do not increase, arrays of another shape,
+        non-finite numbers and changing kinds; the scan is then not used.
         """
         samples = checked_imu(imu)
         with in_python():
@@ -114,7 +114,7 @@ class Mapper:
 
     @property
     def pose(self) -> Array:
-        """Where the newest scan was taken, by all that is known now: x, y, yaw in the map, (3,)."""
+        """Current estimate of the newest scan's pose: x, y, yaw in the map, (3,)."""
         return self._mapper.T_map_base.xyt
 
     @property
@@ -124,21 +124,21 @@ class Mapper:
 
     @property
     def lost(self) -> bool:
-        """Whether the newest scans fit so little that their poses are guesses."""
+        """Whether the newest scans fit so badly that their poses are guesses."""
         return self._mapper.lost
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses of all scans by all that is known now, (n, 3)."""
+        """Current estimates of the poses of all scans, (n, 3)."""
         return Trajectory.of(self._mapper.trajectory)
 
     def map(self) -> OccupancyGrid:
-        """The map of what was seen so far: `cells` (rows, columns) int8, `resolution` [m], `T_map_grid`."""
+        """The current map: `cells` (rows, columns) int8, `resolution` [m], `T_map_grid`."""
         with in_python():
             return self._mapper.map()
 
     def finish(self) -> tuple[Trajectory, OccupancyGrid]:
-        """Poses and map as `map` makes them of all scans, which takes as long."""
+        """Poses and map as `map` makes them from all scans; it takes as long."""
         with in_python():
             trajectory, grid = self._mapper.finish()
         return Trajectory.of(trajectory), grid
@@ -151,11 +151,11 @@ class Mapper:
 
 
 class Localiser:
-    """Finds the robot on a map, scan by scan (AMCL, or your own class with the setting `localiser`).
+    """Localises the robot on a map, scan by scan (AMCL, or your own class with the setting `localiser`).
 
-    `initial_pose` is where it is on the map at the first scan, or "global" to search the whole of it. Give it
-    the observations of a simulator (`observe`), or scans of your own (`add`), not both. Settings are those of
-    `localise`, and so is what comes out.
+    `initial_pose` is its pose on the map at the first scan, or "global" to search the whole map. Pass either
+    the observations of a simulator (`observe`) or scans of your own (`add`), not both. Settings and results
+    are those of `localise`.
     """
 
     def __init__(
@@ -192,10 +192,10 @@ class Localiser:
         return self._update(scan, self._buffer.at(scan.stamp_ns), self._buffer.at(sweep_end_ns(scan)))
 
     def add(self, scan: Scan, odometry: Pose, odometry_end: Pose | None = None) -> Array:
-        """Take in a scan: x, y [m] and yaw [rad] of the base in the map at its stamp, (3,).
+        """Update with a scan: x, y [m] and yaw [rad] of the base in the map at its stamp, (3,).
 
         `odometry` is the pose of the base in the odometry's frame at that stamp, `odometry_end` at the end of
-        the sweep, by which the motion of a turning lidar is undone. InputError as of `Mapper.add`.
+        the sweep, for deskewing. InputError as for `Mapper.add`.
         """
         start = pose_of(odometry, "odometry")
         end = None if odometry_end is None else pose_of(odometry_end, "odometry_end")
@@ -204,7 +204,7 @@ class Localiser:
 
     @property
     def pose(self) -> Array:
-        """Where the newest scan was taken: x, y [m] and yaw [rad] in the map, (3,)."""
+        """Pose of the newest scan: x, y [m] and yaw [rad] in the map, (3,)."""
         return (self._started.T_map_odom @ self._T_odom_base).xyt
 
     @property
@@ -219,17 +219,17 @@ class Localiser:
 
     @property
     def particles(self) -> Array:
-        """Poses that are thought possible: x, y, yaw, (n, 3)."""
+        """The poses considered possible: x, y, yaw, (n, 3)."""
         return self._started.particles.xyt
 
     @property
     def converged(self) -> bool:
-        """Whether it is sure of one place."""
+        """Whether the estimate is narrowed down to one place."""
         return self._localiser is not None and self._localiser.converged
 
     @property
     def lost(self) -> bool:
-        """Whether it is not sure of one place, or the scans do not agree with the map there."""
+        """Whether it is not narrowed down to one place, or the scans do not agree with the map there."""
         return self._localiser is None or self._localiser.lost
 
     def _update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None) -> Array:

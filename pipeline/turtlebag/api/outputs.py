@@ -1,7 +1,7 @@
-"""Recordings and maps as objects, and what all outputs share: files that are read when they are asked for.
+"""Recordings and maps as objects, and what all outputs share: files that are read on demand.
 
-Made from a path they load what the commands wrote. What the steps return without `out=` lives in a temporary
-folder, which goes with the last object that needs it.
+Created from a path, they load what the commands wrote. What the steps return without `out=` is in a temporary
+folder, which is deleted with the last object that uses it.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ Self = TypeVar("Self", bound="Output")
 
 
 class Output:
-    """A finished output. It is a path too: whatever takes a path takes this."""
+    """A finished output. It is path-like, so it can be passed wherever a path can."""
 
     kind: ClassVar[str]
-    """What `report` calls such an output."""
+    """The name of such outputs in a report."""
     notes: tuple[str, ...] = ()
-    """Warnings of the step that has just made it: what was repaired on reading, what is doubtful."""
+    """Warnings of the step that made it: what was repaired while reading, what is doubtful."""
     _kept: tuple[object, ...] = ()
 
     def __init__(self, path: PathLike) -> None:
         self.path = path_of(path, "path")
-        """Where it lies."""
+        """Its folder or file."""
         self.stage: Stage | None = self._load()
-        """Its manifest, configuration and files; None where it is no output of ours."""
+        """Its manifest, configuration and files; None unless it is an output of ours."""
 
     def __fspath__(self) -> str:
         return os.fspath(self.path)
@@ -50,19 +50,19 @@ class Output:
 
     @classmethod
     def of(cls: type[Self], step: Step) -> Self:
-        """What a step has just made."""
+        """The result of a step."""
         made = cls(step.out)
         made.notes, made._kept = tuple(step.notes), tuple(step.kept)
         return made
 
     @property
     def metrics(self) -> dict[str, Any]:
-        """Its metrics.json, in SI units and radians; empty where there is none."""
+        """Its metrics.json, in SI units and radians; empty if there is none."""
         return {} if self.stage is None else dict(self.stage.metrics)
 
     @property
     def verdict(self) -> str:
-        """How it came out, in a sentence."""
+        """The outcome in one sentence."""
         return self._mood_and_verdict[1]
 
     def _load(self) -> Stage | None:
@@ -87,7 +87,7 @@ class Output:
         return type(self).__name__
 
     def _facts(self) -> dict[str, str]:
-        """The numbers to go by, as a report shows them."""
+        """The most important numbers, as in a report."""
         from turtlebag.reports.content import stage_metrics
         from turtlebag.reports.numbers import sections_of
 
@@ -110,12 +110,12 @@ class Output:
 
 
 def optional(path: types.Trajectory | None, frame: str) -> Trajectory | None:
-    """A trajectory as an array, where there is one."""
+    """A trajectory as an array, if there is one."""
     return None if path is None else Trajectory.of(path, frame)
 
 
 def told(stage: Stage | None, what: str) -> str | None:
-    """World or robot of a recording or run, as the command names it; None where it is not known."""
+    """World or robot of a recording or run, as named on the command line; None if unknown."""
     return None if stage is None else stage.option(what) or stage.fact(what)
 
 
@@ -133,32 +133,32 @@ class Bag(Output):
 
     @property
     def world(self) -> str | None:
-        """The world it was recorded in, where it is known."""
+        """The world it was recorded in, if known."""
         return told(self.stage, "world")
 
     @property
     def robot(self) -> str | None:
-        """The robot that recorded it, where it is known."""
+        """The robot that recorded it, if known."""
         return told(self.stage, "robot")
 
     @cached_property
     def recording(self) -> types.Recording:
-        """All that mapping may know of it: stamps, ranges, lidar, odometry; never the truth."""
+        """Everything that mapping uses: stamps, ranges, lidar, odometry; never the truth."""
         return load_recording(self.path)
 
     @property
     def ranges(self) -> NDArray[np.float32]:
-        """The scans, (n_scans, n_beams) [m]; inf where nothing came back, NaN where a beam is invalid."""
+        """The scans, (n_scans, n_beams) [m]; inf without a return, NaN for invalid beams."""
         return self.recording.ranges
 
     @property
     def odometry(self) -> Trajectory | None:
-        """Poses of the base by the wheels, as often as the recording has them; None without odometry."""
+        """Poses of the base by odometry, at its own rate; None without odometry."""
         return optional(self.recording.path, "odom")
 
     @property
     def truth(self) -> Trajectory | None:
-        """True poses of the base at the scans, in the world; None where nobody knows."""
+        """True poses of the base at the scans, in the world; None if unknown."""
         return None if self.stage is None else optional(self.stage.truth, "world")
 
     @property
@@ -186,13 +186,13 @@ class Bag(Output):
 
 
 class Map(Output):
-    """An occupancy grid and the path along which it was seen: what `map` wrote, or any map_server YAML."""
+    """An occupancy grid and the path of the robot: what `map` wrote, or any map_server YAML."""
 
     kind = "map"
 
     def _load(self) -> Stage | None:
         self.yaml = self.path / "map.yaml" if self.path.is_dir() else self.path
-        """The file of the map itself."""
+        """The map's YAML file."""
         if not self.yaml.is_file():
             raise InputError(
                 f"{self.path}: no map in it (expected a map's YAML file, or a folder with map.yaml)"
@@ -202,7 +202,7 @@ class Map(Output):
 
     @cached_property
     def occupancy(self) -> OccupancyGrid:
-        """Cells and their place in one."""
+        """The cells with resolution and origin."""
         return load_map(self.yaml) if self.stage is None or self.stage.map is None else self.stage.map
 
     @property
@@ -227,7 +227,7 @@ class Map(Output):
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses of the base at the scans, (n, 3) in the map's frame; InputError for a map that has none."""
+        """Poses of the base at the scans, (n, 3) in the map's frame; InputError if the map has none."""
         path = None if self.stage is None else optional(self.stage.trajectory, "map")
         if path is None:
             raise InputError(f"{self.path}: has no trajectory; only maps made by turtlebag have one")
@@ -235,17 +235,17 @@ class Map(Output):
 
     @property
     def world(self) -> str | None:
-        """The world that was mapped, where it is known."""
+        """The world that was mapped, if known."""
         return told(self._source, "world")
 
     @property
     def robot(self) -> str | None:
-        """The robot that saw it, where it is known."""
+        """The robot that mapped it, if known."""
         return told(self._source, "robot")
 
     @cached_property
     def _source(self) -> Stage | None:
-        """The recording or run that it was made from, where that still is in its place."""
+        """The recording or run that it was made from, if that still exists."""
         source = None if self.stage is None else self.stage.input_paths().get("source")
         if source is None:
             return None
@@ -263,5 +263,5 @@ class Map(Output):
 
 
 def as_map(map: PathLike) -> Map:
-    """A map from what was given as one."""
+    """A map from whatever was passed as one."""
     return map if isinstance(map, Map) else Map(path_of(map, "map"))

@@ -1,4 +1,4 @@
-"""What a notebook shows of a result: a card with its verdict, a few facts and the report's picture of it."""
+"""Notebook cards of results: verdict, a few facts and the report's picture."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOODS = {"good": GOOD, "bad": BAD, "neutral": MUTED}
 
 
 def card(title: str, said: str, facts: Mapping[str, str], picture: str = "", mood: str = "neutral") -> str:
-    """HTML that reads the same on light and dark pages: title, sentence, facts by name, picture."""
+    """HTML that is readable on light and dark pages: title, sentence, facts by name, picture."""
     rows = "".join(
         f'<tr style="background:none"><td style="text-align:left;color:{MUTED};padding:1px 12px 1px 0;'
         f'vertical-align:top">{html.escape(name)}</td><td style="text-align:left;padding:1px 0">'
@@ -56,7 +56,7 @@ class _First(Album):
 
 
 def picture_of(stage: Stage) -> str:
-    """The first picture that a report has of an output, as SVG; empty where it has none."""
+    """The first picture of an output in a report, as SVG; empty without one."""
     album = _First(None, animate=False)
     with suppress(_Enough):
         DRAW[stage.kind](stage, Group("", (stage,)), album)

@@ -26,7 +26,7 @@ from turtlebag.sim.robots import load_robot
 
 
 class Planner:
-    """Plans paths for a robot over a map; what takes long to prepare of the map is prepared once.
+    """Plans paths for a robot over a map, which is prepared only once.
 
     `planner` is one of OMPL's or a class, `robot` a name or a file (default: the one that made the map, else
     burger); settings are those of `plan`. The same seed gives the same path.
@@ -56,7 +56,8 @@ class Planner:
     def plan(self, start: Pose, goal: Pose) -> Array:
         """Poses (n, 3) of x, y [m], yaw [rad] from start to goal in the map's frame.
 
-        NoPath says why there is none; InputError where start or goal is off the map or in an obstacle.
+        NoPath gives the reason if there is none; InputError if start or goal is off the map or in an
+        obstacle.
         """
         query = Query(self._robot, pose_of(start, "start"), pose_of(goal, "goal"), self._seed)
         with in_python():

@@ -25,19 +25,19 @@ Part = TypeVar("Part", bound=Output)
 
 
 class Run(Output):
-    """What `navigate` drove."""
+    """A run of `navigate`."""
 
     kind = "navigate"
     stage: Stage
 
     @property
     def success(self) -> bool:
-        """Whether the task was truly done: all goals reached where the robot truly was, and no collision."""
+        """Whether the task succeeded by ground truth: all goals truly reached, and no collision."""
         return bool(self.metrics.get("true_success"))
 
     @property
     def goals(self) -> Table:
-        """A row a goal: x, y, yaw, status, time_s, error_m, error_rad (against the truth; NaN: unknown)."""
+        """One row per goal: x, y, yaw, status, time_s, error_m, error_rad (by ground truth; NaN: unknown)."""
         goals = self.metrics.get("goals") or []
         return Table({name: [goal.get(name) for goal in goals] for name in GOAL_COLUMNS})
 
@@ -53,23 +53,23 @@ class Run(Output):
 
     @cached_property
     def log(self) -> Table:
-        """A row every 1/30 s: true, estimated, odometry pose, command, clearance, contacts, goal, state."""
+        """One row per 1/30 s: true, estimated, odometry pose, command, clearance, contacts, goal, state."""
         return Table(RunLog.load(self.path / "runlog.csv").columns())
 
     @property
     def bag(self) -> Bag:
-        """What the robot recorded meanwhile."""
+        """The bag of the run."""
         return self._with(Bag(self.path / "bag"))
 
     @property
     def map(self) -> Map:
-        """The map that the task explore made; InputError for a run that made none."""
+        """The map of an exploration; InputError if the run made none."""
         if not (self.path / "map.yaml").is_file():
             raise InputError(f"{self.path}: made no map; only the task explore does")
         return self._with(Map(self.path / "map.yaml"))
 
     def _with(self, part: Part) -> Part:
-        """A part of this output, which keeps it."""
+        """A part of this output, which keeps it alive."""
         part._kept = (self, *self._kept)
         return part
 
@@ -78,25 +78,25 @@ class Run(Output):
 
 
 class Localisation(Output):
-    """Where `localise` says a recorded robot was on a map."""
+    """The result of `localise`: the poses of a recorded robot on a map."""
 
     kind = "localise"
     stage: Stage
 
     @property
     def success(self) -> bool:
-        """Whether the filter knew its place at the end: by the truth where it was given."""
+        """Whether the filter had the right place at the end, by ground truth if given."""
         return bool(self.metrics.get("true_success", self.metrics.get("success")))
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses of the base as known at each scan, (n, 3) in the map's frame; odometry if rejected."""
+        """Poses of the base as estimated at each scan, (n, 3) in the map's frame; odometry if rejected."""
         assert self.stage.trajectory is not None
         return Trajectory.of(self.stage.trajectory)
 
 
 class Plan(Output):
-    """A path that `plan` found, or why there is none."""
+    """The result of `plan`: a path, or the reason why there is none."""
 
     kind = "plan"
     stage: Stage
@@ -118,11 +118,11 @@ class Plan(Output):
 
 
 class _Page(Output):
-    """An output that is a page about others."""
+    """An output that is a page about other outputs."""
 
     @property
     def page(self) -> Path:
-        """The page itself, for a browser."""
+        """The page, for a browser."""
         return self.path / "index.html"
 
     @cached_property
@@ -137,13 +137,13 @@ class _Page(Output):
 
 
 class Comparison(_Page):
-    """What `compare` found of two outputs, or of ours beside other systems."""
+    """The result of `compare`, of two outputs, or of ours and other systems."""
 
     kind = "compare"
 
     @cached_property
     def numbers(self) -> Table:
-        """A row a number: its name in metrics.json, then a column for A and B, or for each system."""
+        """One row per number: its name in metrics.json, then a column for A and B, or for each system."""
         systems = self.metrics.get("systems")
         if systems is None:
             columns = {name: [pair[k] for pair in self.metrics.values()] for k, name in enumerate("AB")}
@@ -184,7 +184,7 @@ class Report(_Page):
 
     @cached_property
     def _verdicts(self) -> dict[str, tuple[str, str]]:
-        """Of the outputs that it shows, as far as they are still there."""
+        """The outputs that it shows, if they still exist."""
         found = {name: place for name, place in self._places.items() if (place / "manifest.json").is_file()}
         stages = {name: load_stage(place) for name, place in found.items()}
         return {name: verdict(stage, stage_metrics(stage)) for name, stage in stages.items()}

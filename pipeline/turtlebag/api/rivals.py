@@ -1,4 +1,4 @@
-"""Other systems in Python: their files, and what has to be known of them."""
+"""Other systems' results in Python: their files, and how to read them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from turtlebag.datasets.rivals import require_name
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """What another system made of a recording: a trajectory (TUM, KITTI, EuRoC csv), a map's YAML, or both.
+    """Another system's result for a recording: a trajectory (TUM, KITTI, EuRoC csv), a map's YAML, or both.
 
-    `times` is the file with the times of KITTI poses. `base` is where on the robot sits what it tracks (a
-    camera, say). `shift` is added to its stamps [s].
+    `times` is the file with the times of KITTI poses. `base` is the pose on the robot of what it tracks, such
+    as a camera. `shift` is added to its stamps [s].
     """
 
     trajectory: PathLike | None = None
@@ -32,7 +32,7 @@ class Rival:
 
 
 Rivals = Mapping[str, Rival | PathLike]
-"""Rivals by their names; one of which there is nothing but a file may be its path."""
+"""Rivals by their names; one with only a file may be given as its path."""
 
 
 def rival_options(rivals: Rivals | None) -> tuple[list[str], dict[str, list[str]], dict[str, Path]]:

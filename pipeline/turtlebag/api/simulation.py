@@ -27,10 +27,10 @@ from turtlebag.sim.world import World
 
 
 class Simulator:
-    """Steps of 1/30 s: velocities in, what the robot senses out. A context manager, which closes it.
+    """Steps of 1/30 s: velocities in, sensor data out. A context manager that closes it.
 
-    The same world, robot, settings, seed and commands give the same observations to the last bit, those that
-    `record` writes down. Settings are `record`'s: `{"sim.sensors": "clean"}`.
+    The same world, robot, settings, seed and commands give the same observations to the last bit, which are
+    also those that `record` writes. Settings are those of `record`: `{"sim.sensors": "clean"}`.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Simulator:
         self.close()
 
     def close(self) -> None:
-        """Give back what the physics takes."""
+        """Release the physics engine."""
         self._simulator.close()
 
     @property
@@ -76,12 +76,12 @@ class Simulator:
 
     @property
     def observation(self) -> Observation:
-        """What the robot sensed last: `odometry`, `joints`, `imu`, and `scan` where a sweep has ended."""
+        """The last sensor data: `odometry`, `joints`, `imu`, and `scan` if a sweep has ended."""
         return self._observation
 
     @property
     def truth(self) -> Truth:
-        """What only the simulator knows: true pose and twist in the world, and contacts."""
+        """Ground truth: true pose and twist in the world, and contacts."""
         return self._simulator.truth
 
     @property
@@ -94,11 +94,11 @@ class Simulator:
         return self._simulator.clearance()
 
     def reseed(self, seed: int) -> None:
-        """From the next reset on, all chance is that of another seed."""
+        """Use another seed from the next reset on."""
         self._simulator.seed = require_seed(seed)
 
     def reset(self, start: Pose | None = None) -> Observation:
-        """Start again, at another true pose if one is given; InputError for one in an obstacle."""
+        """Start again, at another true pose if given; InputError if it is in an obstacle."""
         with in_python():
             T_start = self._scene.start if start is None else pose_of(start, "start")
             self._observation = self._simulator.reset(T_start)
@@ -106,9 +106,7 @@ class Simulator:
 
     def step(self, v: float = 0.0, w: float = 0.0) -> Observation:
         """Drive for 1/30 s at v [m/s] forward and w [rad/s] to the left, as far as the motors can follow.
-
-        InputError for what is no finite number.
-        """
+        InputError unless both are finite numbers."""
         command = Twist(_speed(v, "v"), _speed(w, "w"))
         self._observation = self._simulator.step(command)
         return self._observation

@@ -1,9 +1,8 @@
 """The steps of the command line as functions: same stages, same settings, same bytes.
 
-All of them take `out`, a folder to keep the result in (it must not exist, unless `force` replaces it);
-without it nothing stays. `config` is a YAML file of settings and `settings` changes single ones by their
-dotted names, as `--config` and `--set` do: `{"loops.match": "open3d"}`. A part of your own is given by its
-class.
+All of them take `out`, a folder for the result (it must not exist, unless `force` replaces it); without it
+nothing is kept. `config` is a YAML file of settings, and `settings` changes single ones by their dotted
+names, as `--config` and `--set` do: `{"loops.match": "open3d"}`. For a part of your own, pass its class.
 """
 
 from __future__ import annotations
@@ -48,11 +47,12 @@ def record(
     out: PathLike | None = None,
     force: bool = False,
 ) -> Bag:
-    """Drive a simulated robot and record what it saw.
+    """Drive a simulated robot and record its sensor data.
 
     `world` is a name, a file or a class, `robot` a name or a file (default: the world's own), `teleop` a
-    script, or a bag whose commands are driven again; `start` is the true pose in the world. A drive that
-    got stuck is kept, and its `notes` say so. InputError for unknown names and a start in an obstacle.
+    script, or a bag whose commands are replayed; `start` is the true pose in the world. If the robot gets
+    stuck, the recording is kept, and its `notes` say so. InputError for unknown names and a start in an
+    obstacle.
     """
     given = {
         "world": text_of(part_name(world), "world"),
@@ -87,10 +87,10 @@ def map(
 ) -> Map:
     """Build a map from a recording: a Bag, a folder, a bag file or a CARMEN log.
 
-    `front_end` is a name or a class (`turtlebag.pipeline.slam.front_end` says what it must have). `truth` (a
-    recording) and `relations` (a benchmark's file) only add errors to the metrics. `also` are later
-    recordings of the same place, `continued` an earlier map that the recording is added to. `laser` and
-    `upside_down` override how the laser sits on the robot. InputError for what cannot be mapped.
+    `front_end` is a name or a class (its contract is `turtlebag.pipeline.slam.front_end`). `truth` (a
+    recording) and `relations` (a benchmark's file) only add error metrics. `also` are later recordings of the
+    same place, `continued` an earlier map that the recording is added to. `laser` and `upside_down` override
+    the laser's pose on the robot. InputError for what cannot be mapped.
     """
     words, placed = setting_words(settings, front_end=front_end), laser_text(laser, upside_down)
     heard = None if topic is None else text_of(topic, "topic", "a name")
@@ -118,11 +118,11 @@ def localise(
     out: PathLike | None = None,
     force: bool = False,
 ) -> Localisation:
-    """Find where a recorded robot was on a map, scan by scan (AMCL).
+    """Localise a recorded robot on a map, scan by scan (AMCL).
 
-    `initial_pose` is where it starts on the map, or "global" to search the whole of it; without one the
-    result is rejected. `truth` is a recording; it only adds errors to the metrics. InputError for a recording
-    without odometry or a map without walls.
+    `initial_pose` is its first pose on the map, or "global" to search the whole map; without one the result
+    is rejected. `truth` is a recording; it only adds error metrics. InputError for a recording without
+    odometry or a map without walls.
     """
     given = {
         "map": as_map(map).yaml,
@@ -152,11 +152,11 @@ def plan(
     out: PathLike | None = None,
     force: bool = False,
 ) -> Plan:
-    """Plan a path over a map from a pose to another, both in the map's frame.
+    """Plan a path on a map from one pose to another, both in the map's frame.
 
-    `robot` is a name or a file (default: the one that made the map, else burger), `planner` one of OMPL's
-    or a class; `compare` asks all of OMPL's. Where there is no path, `success` is False and the verdict
-    says why. InputError for a start or goal off the map or in an obstacle.
+    `robot` is a name or a file (default: the one that made the map, else burger), `planner` one of OMPL's or
+    a class; `compare` runs all of OMPL's. If there is no path, `success` is False and the verdict gives the
+    reason. InputError for a start or goal off the map or in an obstacle.
     """
     on = as_map(map)
     given = {
@@ -182,12 +182,12 @@ def report(
     out: PathLike | None = None,
     force: bool = False,
 ) -> Report:
-    """One page of what recordings, maps, runs, localisations and plans came to, with figures and numbers.
+    """Make one page about recordings, maps, runs, localisations and plans, with figures and numbers.
 
     `rivals` are other systems to show beside ours: files or `Rival`s by name. `animate=False` leaves out the
-    animations, `paper=True` adds every figure as PDF and SVG. InputError for what is no such output, and for
-    rivals that cannot be compared with it. `turtlebag verify` needs the outputs themselves: give those an
-    `out` to keep them.
+    animations, `paper=True` adds every figure as PDF and SVG. InputError for anything that is not such an
+    output, and for rivals that cannot be compared with it. `turtlebag verify` needs the outputs themselves:
+    give them an `out` to keep them.
     """
     from turtlebag.pipeline.cli.report import make
 
@@ -209,9 +209,9 @@ def compare(
     out: PathLike | None = None,
     force: bool = False,
 ) -> Comparison:
-    """What differs between two outputs of one step, or between ours and other systems' of one recording.
+    """Compare two outputs of one step, or ours with other systems' results for one recording.
 
-    `rivals` are files or `Rival`s by the systems' names, in place of `other`. InputError for outputs of two
+    `rivals` are files or `Rival`s by the systems' names, instead of `other`. InputError for outputs of two
     kinds, and for rivals that cannot be read or compared.
     """
     from turtlebag.pipeline.cli.compare import make
@@ -244,16 +244,15 @@ def navigate(
     out: PathLike | None = None,
     force: bool = False,
 ) -> Run:
-    """Drive a task in closed loop with the simulator, recorded and measured.
+    """Run a task in closed loop with the simulator, recorded and measured.
 
-    A patrol and a goal go by `map`; without one, a goal by odometry. `world` and `robot` are names or files
+    A patrol and a goal use `map`; without one, a goal uses odometry. `world` and `robot` are names or files
     (default: those of the recording that the map was made from). `start` is the true pose in the world,
     `initial_pose` the pose that the localiser starts from: "start" for the true one, "global" to search the
     whole map, None for none. `wiggle` turns the robot back and forth first. `takeover` is a file of teleop
-    intervals. `keepout` are areas to stay out of: a file, outlines (n, 2) [m], or [] for none (default: the
-    world's).
-
-    A task that fails is a result, too: see `success` and `goals`. InputError for a bad goal, map or name.
+    intervals. `keepout` are keep-out areas: a file, outlines (n, 2) [m], or [] for none (default: the
+    world's). A failed task is a result, too: see `success` and `goals`. InputError for a bad goal, map or
+    name.
     """
     words, name = setting_words(settings), part_name(task)
     inputs = {"map": map, "takeover": takeover, "config": config}

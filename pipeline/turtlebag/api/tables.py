@@ -1,4 +1,4 @@
-"""Results as arrays: columns by name, and paths; as pandas or Arrow when somebody asks."""
+"""Results as arrays: columns by name, and paths; as pandas or Arrow on request."""
 
 from __future__ import annotations
 
@@ -22,10 +22,8 @@ EXTRA = "tables"
 
 
 class Table:
-    """Columns of one length by their names: `table["time_s"]` is a NumPy array (n,).
-
-    Numbers that are not known are NaN, words are objects.
-    """
+    """Columns of one length by name: `table["time_s"]` is a NumPy array (n,). Unknown numbers are NaN, texts
+    are objects."""
 
     def __init__(self, columns: Mapping[str, ArrayLike]) -> None:
         self.columns: dict[str, NDArray[Any]] = {name: _column(values) for name, values in columns.items()}
@@ -37,7 +35,7 @@ class Table:
         return iter(self.columns)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """A column, (n,); InputError lists the columns when there is none of that name."""
+        """A column, (n,); InputError lists the columns if there is none of that name."""
         if name not in self.columns:
             raise InputError(f"no column {name}; there are {', '.join(self.columns)}")
         return self.columns[name]
@@ -46,11 +44,11 @@ class Table:
         return f"Table of {len(self)} rows: {', '.join(self.columns)}"
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A pandas.DataFrame; InputError names the extra when pandas is not installed."""
+        """A pandas.DataFrame; InputError names the extra if pandas is not installed."""
         return _extra("pandas").DataFrame(self.columns)
 
     def to_arrow(self) -> pyarrow.Table:
-        """A pyarrow.Table; InputError names the extra when pyarrow is not installed."""
+        """A pyarrow.Table; InputError names the extra if pyarrow is not installed."""
         return _extra("pyarrow").table(self.columns)
 
     def _repr_html_(self) -> str:
@@ -67,7 +65,7 @@ class Trajectory(types.Trajectory):
 
     @staticmethod
     def of(other: types.Trajectory, frame: str = "map") -> Trajectory:
-        """Any of our trajectories as one of these."""
+        """One of our trajectories in this form."""
         return Trajectory(other.stamps_ns, other.poses, frame)
 
     @property

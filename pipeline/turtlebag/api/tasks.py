@@ -1,4 +1,4 @@
-"""What a run is to do, the tasks of `navigate`: each says its options of the command line."""
+"""The tasks of `navigate`, with their options."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from turtlebag.planners.tasks.waypoints import parse_polygons
 
 @dataclass(frozen=True)
 class Goal:
-    """Drive to x, y [m] and turn to yaw [rad], in the map's frame; without a map in that of the odometry."""
+    """Drive to x, y [m] and turn to yaw [rad], in the map's frame; without a map, in the odometry's."""
 
     x: float
     y: float
@@ -62,10 +62,8 @@ class Patrol:
 
 @dataclass(frozen=True)
 class Avoid:
-    """Drive about without a map for `duration` simulated seconds (None: 60).
-
-    `mode` is "guarded" (None too), which keeps the robot's shape clear, or "tutorial", the tutorial's rule.
-    """
+    """Drive around without a map for `duration` simulated seconds (None: 60). `mode` is "guarded" (also
+    None), which uses the robot's shape, or "tutorial", the tutorial's rule."""
 
     duration: float | None = None
     mode: Literal["guarded", "tutorial"] | None = None
@@ -76,7 +74,7 @@ class Avoid:
 
 @dataclass(frozen=True)
 class Explore:
-    """Map an unknown place until there is nothing left to see, or for `duration` simulated s (None: 1800)."""
+    """Map an unknown place until nothing is left to see, or for `duration` simulated seconds (None: 1800)."""
 
     duration: float | None = None
 
@@ -99,7 +97,7 @@ def task_options(task: Task | str, folder: Path) -> dict[str, Any]:
 
 
 def keepout_option(given: PathLike | Sequence[Any] | None, folder: Path) -> str | None:
-    """The file of areas to keep out of, or the word none."""
+    """The file of keep-out areas, or the word none."""
     if given is None or isinstance(given, str | os.PathLike):
         return None if given is None else text_of(given, "keepout", "a path")
     areas = [list_of(outline, "keepout") for outline in list_of(given, "keepout")]
