@@ -36,8 +36,8 @@ class Limits(NamedTuple):
 ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
 
 
-# Kernels called once per point are inlined: passing the arrays of Clouds on took 15 % of mapping. They make no
-# arrays, so they need no reference counts (`_nrt`), which took another 12 %.
+# Kernels called once per point are inlined: passing the arrays of Clouds on took 15 % of mapping. They make
+# no arrays, so they need no reference counts (`_nrt`), which took another 12 %.
 
 
 @njit(cache=True, forceinline=True, _nrt=False)
