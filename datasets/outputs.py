@@ -53,10 +53,10 @@ def staged_output(
 
 
 @contextmanager
-def staged_file(out: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
+def staged_file(out: Path, *, force: bool = False) -> Iterator[Path]:
     """A file in `OUT.partial` to write; moved to `out` on success, else removed, as `staged_output`."""
-    check_free(out, force=force, inputs=inputs, kind="file")
-    with lock_output(out, force=force, inputs=inputs) as lock, _growing(lock) as partial:
+    check_free(out, force=force, kind="file")
+    with lock_output(out, force=force) as lock, _growing(lock) as partial:
         yield partial / out.name
         lock.finish(partial / out.name)
 
