@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class OrOwn(tuple[str, ...]):
-    """Choices of an option, besides which it takes a class of the user's, module:Class."""
+    """Choices of an option that also accepts a user's class, module:Class."""
 
     def __contains__(self, name: object) -> bool:
         """Whether it is one of the choices, or could be such a class."""
@@ -29,7 +29,7 @@ class OrOwn(tuple[str, ...]):
 
 
 def add_action(actions: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    """A verb, or an action of one; its help ends with an example, in one line that can be copied."""
+    """A verb, or an action of one; its help ends with an example of one line, for copying."""
     parser: argparse.ArgumentParser = actions.add_parser(
         name,
         help=text,
@@ -41,7 +41,7 @@ def add_action(actions: Any, name: str, text: str, example: str) -> argparse.Arg
 
 
 REPEATED: dict[str, Any] = {"action": "append", "default": []}
-"""Of an option that may be given more than once: its values make a list."""
+"""For an option that may be repeated: its values make a list."""
 
 
 def option(
@@ -52,12 +52,12 @@ def option(
     kind: Callable[[str], Any] = str,
     **more: Any,
 ) -> None:
-    """An option that takes a value, or an argument where the name has no dashes."""
+    """An option with a value, or an argument if the name has no dashes."""
     parser.add_argument(name, metavar=metavar, help=text, type=kind, **more)
 
 
 def flag(parser: argparse.ArgumentParser, name: str, text: str) -> None:
-    """An option that is given or not."""
+    """An option without a value."""
     parser.add_argument(name, action="store_true", help=text)
 
 
@@ -74,7 +74,7 @@ def add_output(
 
 
 def output(args: argparse.Namespace) -> Output:
-    """What --out and --force say; InputError when it exists and may not be replaced."""
+    """The values of --out and --force; InputError if it exists and may not be replaced."""
     from turtlebag.datasets.outputs import Output  # which `bag info` does without
 
     return Output(args.out, args.force, args.command_line)
@@ -97,7 +97,7 @@ def add_world(parser: argparse.ArgumentParser, seed_value: int) -> None:
 
 
 def start_of(args: argparse.Namespace) -> SE2 | None:
-    """The pose of --start, where it was given."""
+    """The pose of --start, if given."""
     return None if args.start is None else pose(args.start, "--start")
 
 
@@ -113,7 +113,7 @@ def add_map(parser: argparse.ArgumentParser, purpose: str, *, required: bool = T
 
 
 def named_inputs(args: argparse.Namespace) -> list[Path]:
-    """Every file and folder that the arguments name, and that exists: what the command may read."""
+    """Every existing file and folder that the arguments name: what the command may read."""
     given = {
         key: value
         for key, value in vars(args).items()
@@ -134,7 +134,7 @@ def named_inputs(args: argparse.Namespace) -> list[Path]:
 
 
 def map_file(text: str) -> Path:
-    """A map's YAML file; of a folder that `map` wrote, the one in it."""
+    """A map's YAML file; for a folder that `map` wrote, the one in it."""
     path = Path(text)
     return path / "map.yaml" if path.is_dir() else path
 
@@ -148,7 +148,7 @@ def seed(text: str) -> int:
 
 
 def pose(text: str, option: str) -> SE2:
-    """`X,Y,YAW`, all finite and none astronomic; InputError names the option."""
+    """`X,Y,YAW`, finite and of plausible size; InputError names the option."""
     parts = text.split(",")
     try:
         values = [float(part) for part in parts]
@@ -166,7 +166,7 @@ def pose(text: str, option: str) -> SE2:
 
 
 def initial_pose(text: str | None, *words: str) -> Any:
-    """The pose of --initial-pose, or one of the words that may stand for it; None where it was not given."""
+    """The pose of --initial-pose, or one of the words allowed instead; None if it was not given."""
     if text is None or text in words:
         return text
     try:
@@ -176,13 +176,13 @@ def initial_pose(text: str | None, *words: str) -> Any:
 
 
 def add_laser(parser: argparse.ArgumentParser, source: str) -> None:
-    """--laser, which overrides what the argument `source` says."""
+    """--laser, which overrides the laser's pose in the argument `source`."""
     text = f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}"
     option(parser, "--laser", "X,Y,YAW[,upside-down]", text)
 
 
 def laser(text: str | None) -> tuple[SE2 | None, bool]:
-    """The laser's pose by --laser and whether it hangs upside down; InputError for what is no pose."""
+    """The laser's pose by --laser, and whether it is upside down; InputError if it is not a pose."""
     if text is None:
         return None, False
     upright = text.removesuffix(",upside-down")

@@ -1,4 +1,4 @@
-"""`turtlebag bag`: look at bags, repair and convert them."""
+"""`turtlebag bag`: inspect, play, repair and convert bags."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EXAMPLE = "turtlebag bag info data/record"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The actions and theirs."""
+    """The actions and their arguments."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
 
     def action(
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 STATUS_ROWS = 3
-"""What is said below the drawing of a player takes two lines of a narrow terminal, and the cursor one."""
+"""The text below a player's drawing takes two lines of a narrow terminal, and the cursor one."""
 
 
 def _info(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""turtlebag blame: map a recording, and drive on the map, with parts replaced by the truth."""
+"""turtlebag blame: map a recording, and drive on the map, with parts replaced by ground truth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the map outputs with the errors that are left."""
+    """Write the map outputs with the remaining errors."""
     from turtlebag.pipeline.campaign.blame import blame
 
     return blame(

@@ -1,4 +1,4 @@
-"""turtlebag compare: what differs between two outputs of one stage, or between ours and other systems'."""
+"""turtlebag compare: the differences between two outputs of one stage, or between ours and other systems'."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:
-    """What is read."""
+    """The inputs."""
     return [*([args.a] if args.a.exists() else []), *existing_rivals(args.b, args)]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the differences; the page's path last when one was asked for."""
+    """Print the differences; the page's path last, if there is a page."""
     from turtlebag.reports.system_comparison import SystemComparison
 
     found = make(args)
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make(args: argparse.Namespace) -> Comparison | SystemComparison:
-    """What is found, of two outputs or of ours and other systems."""
+    """The comparison of two outputs, or of ours and other systems'."""
     from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
 
     for word in args.b:

@@ -1,4 +1,4 @@
-"""`turtlebag completion`: a script that completes verbs, options, names and files in a shell."""
+"""`turtlebag completion`: a script for shell completion of verbs, options, names and files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _built_in() -> dict[str, Sequence[str]]:
-    """What is built in, by the argument that takes the name of one or a file."""
+    """The built-in names, by the argument that takes one of them or a file."""
     from turtlebag.datasets.yaml_files import known_names
     from turtlebag.pipeline.campaign.campaign_file import FOLDER as STUDIES
     from turtlebag.sim.robots import robot_names
@@ -66,7 +66,7 @@ def _arguments(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 
 def _name_or_file(dest: str, names: Sequence[str]) -> dict[str, Any]:
-    """What shtab writes for an argument that takes a name or a file; tcsh has room for the names alone."""
+    """The completion of an argument that takes a name or a file; in tcsh, only of names."""
     words, function = " ".join(names), f"_turtlebag_{dest}_or_file"
     return {
         "bash": function,

@@ -11,7 +11,7 @@ EXAMPLE = "turtlebag data fetch intel"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The actions and theirs."""
+    """The actions and their arguments."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     text = "list the logs with their contents, licences and citations"
     add_action(actions, "list", text, "turtlebag data list").set_defaults(run=_list)

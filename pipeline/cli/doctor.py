@@ -1,4 +1,4 @@
-"""`turtlebag doctor`: does every package this needs import and do a little work here?"""
+"""`turtlebag doctor`: imports every required package and does a little work with it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _hint(error: Exception) -> str:
-    """What to do about a missing package or shared library."""
+    """Advice on a missing package or shared library."""
     if isinstance(error, ModuleNotFoundError):
         return f" -> {INSTALL}"
     message = str(error)
@@ -102,7 +102,7 @@ MODULES = {
     "pillow": "PIL.Image",
     "tornado": "tornado.web",
 }
-"""What to import of a package whose own name is not it."""
+"""The module of a package whose name is different."""
 CHECKS: dict[str, Callable[[], str]] = {
     "python": _python,
     **{package: _imports(MODULES.get(package, package), package) for package in PACKAGES},

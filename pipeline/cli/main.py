@@ -22,8 +22,8 @@ from turtlebag.pipeline.cli.arguments import add_action, named_inputs
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
 
-# What `turtlebag --help` says of each verb. Its module here has `EXAMPLE`, `add_arguments(parser)` and, where
-# that names none for each action, `run(args) -> int`; it is imported only when its verb is used.
+# The line of `turtlebag --help` for each verb. A verb's module here has `EXAMPLE`, `add_arguments(parser)`
+# and, unless each action has its own, `run(args) -> int`; it is imported only when the verb is used.
 VERBS = {
     "record": "drive a simulated robot with a script and record a bag",
     "teleop": "drive with the keyboard and record a bag",
@@ -51,7 +51,8 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and exit code 2."""
 
     def parse_known_args(self, *words: Any, **more: Any) -> tuple[Any, list[str]]:
-        """As argparse's, but the verb's parser tells what it does not know: it has options to suggest."""
+        """As argparse's, except that the verb's parser reports unknown options, because it can suggest
+        some."""
         found, unknown = super().parse_known_args(*words, **more)
         if unknown:
             near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
@@ -76,7 +77,7 @@ class _Version(argparse.Action):
 
 
 def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
-    """The parser; of the verbs only those named get their arguments, which imports them."""
+    """The parser; only the named verbs get their arguments, because that imports them."""
     parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
@@ -98,7 +99,7 @@ def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
 
 
 def joined(argv: Sequence[str]) -> list[str]:
-    """`--goal -2,0,0` as `--goal=-2,0,0`: argparse would take the value for an option."""
+    """`--goal -2,0,0` as `--goal=-2,0,0`, because argparse would take the value for an option."""
     words: list[str] = []
     for word in argv:
         if words and words[-1].startswith("--") and re.match(r"-(\d|\.|inf|nan)[^,]*,", word):
@@ -109,16 +110,16 @@ def joined(argv: Sequence[str]) -> list[str]:
 
 
 def parsed(argv: Sequence[str]) -> argparse.Namespace:
-    """The arguments of one command; InputError for what it does not take."""
+    """The arguments of one command; InputError for unknown ones."""
     verb = next((word for word in argv if not word.startswith("-")), None)
     return build_parser(verb).parse_args(joined(argv))
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    """End at once on Ctrl-C or a termination, and leave no half output.
+    """End at once on Ctrl-C or SIGTERM, and leave no incomplete output.
 
-    Nothing is raised: an exception would surface inside whatever compiled code is running, which
-    reports it as an error of its own or crashes.
+    Nothing is raised: an exception would surface inside running compiled code, which reports it as its own
+    error or crashes.
     """
     release_all()
     if sys.stderr.isatty():
@@ -129,7 +130,7 @@ def _stop(number: int, frame: FrameType | None) -> NoReturn:
 
 @contextmanager
 def _stopping_cleanly() -> Iterator[None]:
-    """Handle Ctrl-C and termination by `_stop`, unless somebody else handles them already."""
+    """Handle Ctrl-C and SIGTERM by `_stop`, unless they have a handler already."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the map; 0 done, 1 when the truth says that it is bad."""
+    """Build the map; 0 done, 1 if it is bad by ground truth."""
     from turtlebag.pipeline.stages.map import build_map
     from turtlebag.pipeline.stages.sources import MapInputs, Source
     from turtlebag.reports.metrics.references import References

@@ -28,9 +28,9 @@ EXAMPLE = (
 )
 
 
-# Not imported from turtlebag.pipeline.navigation.driver_setup: --help need not load a simulator.
+# Not imported from turtlebag.pipeline.navigation.driver_setup, because --help need not load a simulator.
 TASKS = ("goal", "patrol", "avoid", "explore")
-# Options that only some tasks take; all others go with every task.
+# Options of some tasks only; all others apply to every task.
 TAKEN_BY = {
     "map": ("goal", "patrol"),
     "initial_pose": ("goal", "patrol"),
@@ -44,7 +44,7 @@ TAKEN_BY = {
     "mode": ("avoid",),
 }
 ON_A_MAP = ("initial_pose", "wiggle", "keepout")
-"""Of these, what a goal without --map has no use for."""
+"""Those among them that a goal without --map cannot use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _refuse_unused(args: argparse.Namespace) -> None:
-    """InputError for the first option given that the task would not look at; of the user's own who knows."""
+    """InputError for the first given option that the task does not use; a user's own task may use any."""
     if args.task not in TASKS:
         return
     given = [name for name in TAKEN_BY if getattr(args, name) not in (None, False)]
@@ -130,7 +130,7 @@ def _refuse_unused(args: argparse.Namespace) -> None:
 
 
 def _keepout(text: str | None) -> tuple[Array, ...] | None:
-    """None: the world's own; else those of a file, or no outlines at all."""
+    """The outlines of a file, or none; None: the world's own."""
     if text is None:
         return None
     if text == "none":

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:
-    """World, robot and settings as far as they are files, and the bag whose commands are driven again."""
+    """World, robot and settings if they are files, and the bag whose commands are replayed."""
     from turtlebag.pipeline.stages.bag_commands import is_recording
     from turtlebag.sim.teleop_scripts import script_names
 

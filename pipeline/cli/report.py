@@ -25,12 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:
-    """What is read: for an index what is found below the folders, among which the index may lie."""
+    """The inputs: for an index, those found below the folders, which may also hold the index."""
     return [] if args.index else [*args.folders, *existing_rivals(args.rival, args)]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the page and print where it is."""
+    """Make the page and print its path."""
     print(make(args))
     return 0
 

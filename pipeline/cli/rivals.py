@@ -1,4 +1,4 @@
-"""Other systems on the command line: NAME=FILE, and what has to be known of their files."""
+"""Other systems on the command line: NAME=FILE, and how to read their files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ def add_rival_options(parser: argparse.ArgumentParser) -> None:
 
 def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
     """The rivals that `words` (NAME=FILE or FILE) and the options name; a name may have a trajectory and a
-    map. InputError for what is neither, twice of one kind, or an option for a name that is not there.
+    map.
+
+    InputError for a file that is neither, for two of one kind, and for an option with an unknown name.
     """
     from turtlebag.datasets.rivals import RivalFiles, kind_of
 
@@ -57,7 +59,7 @@ def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
 
 
 def existing_rivals(words: Sequence[str], args: argparse.Namespace) -> list[Path]:
-    """Every file that they name, and that is there."""
+    """Every existing file that they name."""
     paths = [_named(word)[1] for word in words]
     paths += [Path(word.partition("=")[2] or word) for word in args.rival_times]
     return [path for path in paths if path.exists()]
@@ -75,7 +77,7 @@ def _named(word: str) -> tuple[str, Path]:
 
 
 def _by_name(words: Sequence[str], names: dict[str, dict[str, Path]], option: str) -> dict[str, str]:
-    """Values of an option by rival; without a name it is of the only one."""
+    """Values of an option by rival; without a name, of the only one."""
     found = {}
     for word in words:
         name, equals, value = word.partition("=")

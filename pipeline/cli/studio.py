@@ -24,7 +24,7 @@ EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
 WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
 SIMULATED = ("world", "robot", "seed", "map", "config", "settings")
 LIVE = (*SIMULATED, "bag", "port", "host")
-"""Options that --replay does not take: the session file has them."""
+"""Options that --replay does not take, because the session file has them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,7 +97,8 @@ def _live(
             _open_browser(access.url)
 
     failure: Exception | None = None
-    # Nobody drives the same session by hand again: after an interrupt or a failure it is finished and kept.
+    # The same session cannot be driven by hand again, so after an interrupt or a failure it is finished and
+    # kept.
     with (
         deferred_interrupt() as interrupted,
         studio_output(setup, Output(out, args.force, args.command_line), say=log.info) as session,
@@ -123,21 +124,21 @@ def _replay(args: argparse.Namespace) -> int:
 
 
 def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
-    """InputError for an option that does not go with another."""
+    """InputError for options that exclude each other."""
     for name in options:
         if getattr(args, name) not in (None, []):
             raise InputError(f"{'--set' if name == 'settings' else '--' + name.replace('_', '-')}: {why}")
 
 
 def _free_folder(words: Sequence[str]) -> Path:
-    """The first folder of that name that is neither there nor being written."""
+    """The first folder of that name that neither exists nor is being written."""
     name = "-".join(re.sub(r"[^A-Za-z0-9_]+", "_", word) for word in words)
     folders = (Path("data/studio") / f"{name}{'' if k == 1 else f'-{k}'}" for k in count(1))
     return next(f for f in folders if not (f.exists() or f.with_name(f"{f.name}.partial").exists()))
 
 
 def _open_browser(url: str) -> None:
-    """Open the page where there is a screen: a browser in the terminal would take its place."""
+    """Open the page if there is a display: a browser in the terminal would take its place."""
     import sys
     import threading
     import webbrowser

@@ -1,4 +1,4 @@
-"""turtlebag sweep: a campaign of many runs, and questions to its table."""
+"""turtlebag sweep: a campaign of many runs, and queries on its table."""
 
 from __future__ import annotations
 

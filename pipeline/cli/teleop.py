@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive by keys until Q or Ctrl-C."""
+    """Drive with the keyboard until Q or Ctrl-C."""
     from turtlebag.datasets.errors import InputError
     from turtlebag.pipeline.stages.record import RecordOptions, Scene, record_drive
     from turtlebag.pipeline.terminal.keyboard_teleop import (

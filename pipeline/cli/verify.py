@@ -1,4 +1,4 @@
-"""turtlebag verify: compute a report's numbers again."""
+"""turtlebag verify: recompute a report's numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what differs; exit 1 when anything does."""
+    """Print the differences; exit code 1 if there are any."""
     from turtlebag.pipeline.stages.verify import verify
 
     found = verify(args.report, None if args.quick else _run_silently)
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_silently(words: list[str]) -> int:
-    """Run a command line; what it says is not for the reader of a verification."""
+    """Run a command line without its output, which is not for the reader of a verification."""
     from turtlebag.pipeline.cli.main import main
     from turtlebag.pipeline.terminal.messages import verbosity_kept
 

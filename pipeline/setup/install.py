@@ -1,7 +1,8 @@
-"""Makes the virtual environment that make works with: `python3 pipeline/setup/install.py FOLDER`.
+"""Makes the virtual environment for make: `python3 pipeline/setup/install.py FOLDER`.
 
-Runs before there is anything but Python, so the standard library alone is imported. A set-up that was stopped
-half-way is known by its mark and made anew; one that fails says why in one line, pip's own words are kept.
+It runs when there is nothing but Python, so it imports the standard library alone. An interrupted set-up is
+recognised by its mark and started again; one that fails gives the reason in one line, and pip's own output is
+kept.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from urllib.parse import urlsplit
 UNFINISHED = ".unfinished"
 READY = ".ready"
 LOG = "install.log"
-# The lock is complete, so nothing has to be resolved; compiling is done apart, on every core, our own sources
-# too: where Python is told to keep no bytecode, each process would compile them anew.
+# The lock file is complete, so nothing has to be resolved. Compiling is a separate step, on every core, for
+# our own sources too: if Python may not write bytecode, each process would compile them again.
 PIP = (
     "-m",
     "pip",
@@ -41,14 +42,14 @@ AGAIN = "then run the same make again"
 
 
 class Failed(Exception):
-    """The set-up cannot be finished; says why and what to do in one line."""
+    """The set-up cannot be finished; the text says why and what to do in one line."""
 
 
 class Broken(Failed):
     """It cannot be finished in the environment that was found."""
 
 
-# Names the packages of which files are missing; those of caches and scripts may be.
+# Names the packages with missing files; those of caches and scripts may be missing.
 WHOLE = """
 import importlib.metadata as metadata, sys
 bad = set()
@@ -62,9 +63,10 @@ print(", ".join(sorted(bad)))
 
 
 def install(environment: Path, project: Path) -> None:
-    """Make `environment` hold what the project's lock names, and the project; Failed says why not.
+    """Install the packages of the project's lock file, and the project, in `environment`; Failed gives the
+    reason.
 
-    What an earlier set-up left half-way, and an environment that is damaged, is removed first.
+    Remains of an interrupted set-up, and a damaged environment, are removed first.
     """
     with _alone(environment) as handle:
         found = any(environment.iterdir()) and not (environment / UNFINISHED).exists()
@@ -103,7 +105,7 @@ def _alone(environment: Path) -> Iterator[int]:
 
 
 def _clear(environment: Path) -> None:
-    """An empty folder but for the mark, which is there at every moment."""
+    """A folder that is empty except for the mark, which exists at every moment."""
     (environment / UNFINISHED).touch()
     for path in environment.iterdir():
         if path.name == UNFINISHED:
@@ -140,10 +142,10 @@ def _fill(environment: Path, project: Path, handle: int) -> None:
 
 
 def put_on_path(environment: Path, project: Path) -> None:
-    """Let `turtlebag` be found on Python's path too.
+    """Put `turtlebag` on Python's path too.
 
-    The finder of an editable install is asked last: in a folder that holds a clone named turtlebag, the clone
-    would be taken for the package.
+    The finder of an editable install is asked last: in a folder that contains a clone named turtlebag, the
+    clone would be taken for the package.
     """
     link = environment.resolve() / "lib/checkout/turtlebag"
     link.parent.mkdir(parents=True, exist_ok=True)
@@ -154,7 +156,7 @@ def put_on_path(environment: Path, project: Path) -> None:
 
 
 def _damaged(python: str) -> str:
-    """What is wrong with an environment's packages; empty when nothing is: every file they name is there."""
+    """The defects of an environment's packages: missing files; empty if there are none."""
     try:
         done = subprocess.run([python, "-I", "-c", WHOLE], capture_output=True, text=True, check=False)
     except OSError as error:
@@ -163,9 +165,8 @@ def _damaged(python: str) -> str:
 
 
 def _run(command: Sequence[str], log: Path, what: str, handle: int) -> None:
-    """Run a command, which holds the lock `handle` too, with its output in the log; Failed says what went
-    wrong.
-    """
+    """Run a command, which also holds the lock `handle`, with its output in the log; Failed gives the
+    reason."""
     said: list[str] = []
     with (
         subprocess.Popen(
@@ -216,7 +217,7 @@ def _configured() -> str:
 
 
 def main() -> int:
-    """0 done, 2 not, with one line that says why, 130 interrupted."""
+    """0 done, 2 failed, with one line that gives the reason, 130 interrupted."""
     try:
         install(Path(sys.argv[1]), Path(__file__).resolve().parents[2])
     except Failed as error:

@@ -1,4 +1,5 @@
-"""A short trial of every stage in a temporary folder: does it work here, and are the kernels compiled?"""
+"""A short trial run of every stage in a temporary folder: checks the installation and compiles the
+kernels."""
 
 from __future__ import annotations
 
@@ -35,8 +36,8 @@ steps:
 def trial() -> float:
     """Record, map and navigate for a few simulated seconds; returns the wall time [s].
 
-    Most of it is compiling, which takes one core: so driving on the true map is tried meanwhile, in a process
-    of its own.
+    Most of it is compiling, on one core, so driving on the true map is tried at the same time, in another
+    process.
     """
     watch = Stopwatch()
     with (

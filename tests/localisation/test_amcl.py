@@ -5,17 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, drive, l_shaped_room
+from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, drive
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 TOUR = [(2.0, 2.0), (4.3, 2.2), (4.3, 0.5), (2.6, 0.5), (0.6, 0.6), (0.6, 2.4), (2.5, 3.4), (2.0, 2.0)]
-
-
-@pytest.fixture(scope="module")
-def room():
-    return l_shaped_room()
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,9 @@
-"""Push detection: the estimate of a standing robot stays when people walk past, and follows when it is
-pushed."""
+"""Push detection: a standing robot keeps its estimate when people walk past, and follows a push."""
 
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
+from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
@@ -14,11 +13,6 @@ from turtlebag.pipeline.localisation.push_detection import changed_share
 
 PLACE = SE2.from_xyt(2.0, 2.0, 0.4)
 ODOMETRY = SE2.from_xyt(-3.0, 1.0, 1.9)
-
-
-@pytest.fixture(scope="module")
-def room():
-    return l_shaped_room()
 
 
 def scan_at(room, T_room_base, rng, walker=None):
