@@ -17,7 +17,7 @@ from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.figures import series, systems
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.metric_spec import LESS_IS_BETTER, MORE_IS_BETTER
+from turtlebag.reports.metric_spec import LESS_IS_BETTER, MORE_IS_BETTER, MetricSpec
 from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.map import walls_in
 from turtlebag.reports.metrics.trajectory import associate
@@ -46,7 +46,6 @@ class Row:
 class Comparison:
     """What differs between two outputs of one kind; `verdicts` are (mood, sentence) of each."""
 
-    kind: str
     verdicts: tuple[tuple[str, str], tuple[str, str]]
     rows: list[Row]
     settings: list[tuple[str, str, str]]
@@ -67,7 +66,7 @@ def compare(a: Stage, b: Stage) -> Comparison:
     for spec in SPECS[a.kind]:
         one, other = lookup(metrics_a, spec.path), lookup(metrics_b, spec.path)
         if one is not None or other is not None:
-            rows.append(_row(spec.path, spec.label, spec.unit, _number(one), _number(other)))
+            rows.append(_row(spec, _number(one), _number(other)))
     files = sorted(set(a.outputs) & set(b.outputs))
     same = [path for path in files if a.outputs[path] == b.outputs[path]]
     settings = changed_settings(a.config, b.config)
@@ -75,9 +74,7 @@ def compare(a: Stage, b: Stage) -> Comparison:
     known = all("source" in stage.manifest.inputs for stage in (a, b))
     source = same_input(a, b) if known else None
     verdicts = verdict(a, metrics_a), verdict(b, metrics_b)
-    return Comparison(
-        a.kind, verdicts, rows, settings, same, sorted(set(files) - set(same)), commands, source
-    )
+    return Comparison(verdicts, rows, settings, same, sorted(set(files) - set(same)), commands, source)
 
 
 def command_of(stage: Stage, name: str) -> str:
@@ -92,7 +89,8 @@ def _number(value: Any) -> float | None:
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
 
 
-def _row(path: str, label: str, unit: str, a: float | None, b: float | None) -> Row:
+def _row(spec: MetricSpec, a: float | None, b: float | None) -> Row:
+    path, label, unit = spec.path, spec.label, spec.unit
     difference, relative, mood = "", "", "neutral"
     if unit == "yes":
         texts = [DASH if value is None else shown(bool(value), unit) for value in (a, b)]

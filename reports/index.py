@@ -11,20 +11,21 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.reports.content import collision_count, stage_metrics, verdict
 from turtlebag.reports.metric_specs import SPECS
-from turtlebag.reports.metrics.navigation import truly_reached
+from turtlebag.reports.metrics.navigation import goal_counts
 from turtlebag.reports.numbers import lookup, shown
-from turtlebag.reports.stages import ALIASES, KINDS, Stage, load_stage, read_json
+from turtlebag.reports.stages import KINDS, Stage, load_stage, read_json
 
-# (head, path in the metrics, unit)
+BY_PATH = {spec.path: spec for specs in SPECS.values() for spec in specs}
+# (head, path in the metrics)
 COLUMNS = (
-    ("trajectory error (ATE)", "ate_m.rmse", "cm"),
-    ("wall cells within one cell", "map.occupied_error_m.within_one_cell", "percent"),
-    ("surfaces found", "map.coverage", "percent"),
-    ("relations error", "relations.trans_m.mean", "m4"),
-    ("localisation error", "localisation_error_m.rmse", "cm"),
-    ("minimum clearance", "min_clearance_m", "cm"),
-    ("distance", "distance_m", "m"),
-    ("time", "time_s", "s"),
+    ("trajectory error (ATE)", "ate_m.rmse"),
+    ("wall cells within one cell", "map.occupied_error_m.within_one_cell"),
+    ("surfaces found", "map.coverage"),
+    ("relations error", "relations.trans_m.mean"),
+    ("localisation error", "localisation_error_m.rmse"),
+    ("minimum clearance", "min_clearance_m"),
+    ("distance", "distance_m"),
+    ("time", "time_s"),
 )
 
 
@@ -51,7 +52,7 @@ def shown_outputs(roots: Sequence[Path]) -> dict[Path, str]:
             raise InputError(f"{root}: no such folder")
         for path in sorted(root.rglob("manifest.json")):
             growing = any(part.endswith(".partial") for part in path.parts)
-            if not growing and read_json(path).get("stage") in (*KINDS, *ALIASES):
+            if not growing and read_json(path).get("stage") in KINDS:
                 found[path.parent.resolve()] = _name(path.parent, root)
     return found
 
@@ -79,10 +80,9 @@ def _recording_of(stage: Stage, records: Mapping[str, Stage]) -> Stage | None:
 
 def used_columns(lines: Sequence[Line]) -> list[tuple[int, str, str]]:
     """(place among COLUMNS, head, meaning) of the columns that any line has a value for."""
-    meanings = {spec.path: spec.meaning for specs in SPECS.values() for spec in specs}
     return [
-        (place, head, meanings.get(path, ""))
-        for place, (head, path, _) in enumerate(COLUMNS)
+        (place, head, BY_PATH[path].meaning)
+        for place, (head, path) in enumerate(COLUMNS)
         if any(line.values[place][0] for line in lines)
     ]
 
@@ -105,20 +105,20 @@ def _line(stage: Stage, name: str, recording: Stage | None) -> Line:
         "" if seed is None else str(seed),
         mood,
         _result(stage, metrics),
-        [_cell(metrics, path, unit) for _, path, unit in COLUMNS],
+        [_cell(metrics, path) for _, path in COLUMNS],
     )
 
 
-def _cell(metrics: Mapping[str, Any], path: str, unit: str) -> tuple[str, str]:
+def _cell(metrics: Mapping[str, Any], path: str) -> tuple[str, str]:
     value = lookup(metrics, path)
-    return ("", "") if value is None else (shown(value, unit), repr(value))
+    return ("", "") if value is None else (shown(value, BY_PATH[path].unit), repr(value))
 
 
 def _result(stage: Stage, metrics: Mapping[str, Any]) -> str:
     if stage.kind != "navigate":
         return f"{metrics['scans']} scans" if "scans" in metrics else ""
     goals = metrics.get("goals") or []
-    reached = sum(truly_reached(goal) for goal in goals)
+    reached = goal_counts(goals)["goals_truly_reached"]
     hits = collision_count(metrics)
     parts = [f"{reached} of {len(goals)} goals"] if goals else []
     if hits or not goals:

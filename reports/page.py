@@ -142,14 +142,14 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         )
         note = f"in {counted(len(runs), 'run')}"
         found.append(Tile("collisions", str(hits), note, meaning, BAD if hits else GOOD))
-    for path, label, unit, worst, kinds in (
-        ("ate_m.rmse", "map trajectory error, RMSE", "cm", max, ("map",)),
-        ("relations.trans_m.mean", "relations error", "m4", max, ("map",)),
-        ("localisation_error_m.rmse", "localisation error, RMSE", "cm", max, ("navigate", "localise")),
-        ("length_m", "length of the plan", "m", max, ("plan",)),
-        ("min_clearance_m", "minimum clearance", "cm", min, ("navigate", "plan")),
-        ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min, ("map",)),
-        ("scans", "scans", "count", max, ("record", "map", "localise")),
+    for path, label, worst, kinds in (
+        ("ate_m.rmse", "map trajectory error, RMSE", max, ("map",)),
+        ("relations.trans_m.mean", "relations error", max, ("map",)),
+        ("localisation_error_m.rmse", "localisation error, RMSE", max, ("navigate", "localise")),
+        ("length_m", "length of the plan", max, ("plan",)),
+        ("min_clearance_m", "minimum clearance", min, ("navigate", "plan")),
+        ("map.occupied_error_m.within_one_cell", "wall cells within one cell", min, ("map",)),
+        ("scans", "scans", max, ("record", "map", "localise")),
     ):
         values = [
             (value, f"{name}/{part.stage.label}", f"{part.stage.title} in {name}", part.stage.kind)
@@ -159,9 +159,9 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         if values and not (path == "scans" and found):
             value, name, title, kind = worst(values)
             note = f"worst of {len(values)}: {title}" if len(values) > 1 else title
-            meaning = next((spec.meaning for spec in SPECS[kind] if spec.path == path), "")
-            key = f"{name}:{path}" if meaning else ""
-            found.append(Tile(label, shown(value, unit), note, meaning, key=key, number=value))
+            spec = next(spec for spec in SPECS[kind] if spec.path == path)
+            text, key = shown(value, spec.unit), f"{name}:{path}"
+            found.append(Tile(label, text, note, spec.meaning, key=key, number=value))
     return found[:5]
 
 

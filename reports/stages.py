@@ -27,7 +27,6 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.datasets.yaml_files import checked, plain_values
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
-ALIASES = {"run": "navigate"}
 # Files that tie stages together when their hashes agree; a shared config proves nothing.
 LINKING = (".pgm", ".mcap", ".db3", ".bag", ".tum", ".clf", ".log", ".gz", ".bz2")
 # Files that no two recordings share, of one world either.
@@ -297,7 +296,7 @@ def load_stage(folder: Path) -> Stage:
     if not path.is_file():
         raise InputError(f"{folder}: has no manifest.json, so it is not a finished output")
     manifest = read_manifest(path)
-    kind = ALIASES.get(manifest.stage, manifest.stage)
+    kind = manifest.stage
     if kind not in KINDS:
         raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(KINDS)}")
     return Stage(folder, kind, kind, manifest)

@@ -22,6 +22,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.tiles import GridTiles
 from turtlebag.pipeline.studio.view import BagMarks, Scene, View
 from turtlebag.pipeline.terminal.keyboard_teleop import STEP_V, STEP_W
+from turtlebag.sim.robots import CONTROL_HZ
 
 COLUMNS = {
     "scan": 2,
@@ -80,7 +81,7 @@ def hello(scene: Scene, *, maps: tuple[str, ...], driver: bool) -> bytes:
         world=scene.world,
         robot=scene.robot,
         seed=scene.seed,
-        control_hz=scene.control_hz,
+        control_hz=CONTROL_HZ,
         limits={"max_v": scene.max_v, "max_w": scene.max_w},
         bounds=list(scene.bounds),
         maps=list(maps),

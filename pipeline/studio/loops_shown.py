@@ -87,13 +87,9 @@ def graph_of_mapper(mapper: Mapper, first: int) -> ShownGraph:
 def _shown(T_map_keys: SE2, keys: NDArray[np.int64], loops: list[ShownLoop]) -> ShownGraph:
     steps = [(k, k + 1, STEP) for k in range(len(keys) - 1)]
     edges = np.array([*steps, *((loop.i, loop.j, LOOP) for loop in loops)], dtype=np.int32).reshape(-1, 3)
-    return ShownGraph(Graph(T_map_keys.xyt, edges), keys, tuple(loops))
+    return ShownGraph(Graph(T_map_keys.xyt.copy(), edges), keys, tuple(loops))
 
 
 def points_of(recording: Recording, scan: int) -> Array:
     """Where the beams of a scan ended, (n, 2) in the base frame."""
-    ranges = recording.ranges[scan]
-    hit = recording.lidar.returns(ranges)
-    return np.asarray(
-        recording.T_base_lidar @ (recording.lidar.directions[hit] * ranges[hit, None].astype(np.float64))
-    )
+    return recording.T_base_lidar @ recording.scan(scan).points_lidar()

@@ -16,7 +16,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.studio.journal import BagHeader, Header
 from turtlebag.pipeline.studio.view import Scene
-from turtlebag.sim.robots import CONTROL_HZ, RobotSpec, load_robot
+from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.simulator import SimConfig
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world, own_files
@@ -109,7 +109,6 @@ class BagSetup:
             world=self.bag.name,
             robot="",
             seed=0,
-            control_hz=CONTROL_HZ,
             max_v=0.0,
             max_w=0.0,
             bounds=(float(x_min), float(y_min), float(x_max), float(y_max)),

@@ -17,7 +17,6 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import INSCRIBED_COST, Costmap, inflated_cost
 from turtlebag.sim.robots import RobotSpec
-from turtlebag.sim.simulator import CONTROL_HZ
 from turtlebag.sim.world import World
 
 Level = Literal["info", "warning", "error"]
@@ -125,7 +124,6 @@ class Scene:
     world: str
     robot: str
     seed: int
-    control_hz: int
     max_v: float
     max_w: float
     bounds: tuple[float, float, float, float]
@@ -146,7 +144,6 @@ class Scene:
             world=world.name,
             robot=robot.name,
             seed=seed,
-            control_hz=CONTROL_HZ,
             max_v=limits.max_v,
             max_w=limits.max_w,
             bounds=(x_min, y_min, x_max, y_max),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,8 +16,8 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.relocalisation_states import State
-from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.studio.loops_shown import graph_of_mapper
 from turtlebag.pipeline.studio.pilot import Pilot, Task
 from turtlebag.pipeline.studio.view import (
     CostLayer,
@@ -217,10 +217,8 @@ class Visuals:
         slam = self._pilot.slam
         if slam is None:
             return None
-        keys = slam.T_map_keys
-        return self._cached.get(
-            "graph", (slam, len(keys), len(slam.jumps)), lambda: _graph(keys, slam.constraints)
-        )
+        of = (slam, len(slam.T_map_keys), len(slam.jumps))
+        return self._cached.get("graph", of, lambda: graph_of_mapper(slam, 0).graph)
 
     def goals(self) -> tuple[GoalMark, ...]:
         """The goals of the last task and what has become of each in its last lap."""
@@ -268,11 +266,6 @@ class Visuals:
         if isinstance(driver, NavigationDriver | ExploreDriver):
             return driver.tools.obstacles
         return None if self._pilot.navigation is None else self._pilot.navigation.tools.obstacles
-
-
-def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Graph:
-    edges = [(c.i, c.j, int(c.kind == "loop")) for c in constraints]
-    return Graph(T_map_keys.xyt.copy(), np.array(edges, dtype=np.int32).reshape(-1, 3))
 
 
 def _marks(sequence: GoalSequence) -> tuple[GoalMark, ...]:

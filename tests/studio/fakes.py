@@ -20,7 +20,6 @@ SCENE = Scene(
     world="fake",
     robot="burger",
     seed=3,
-    control_hz=30,
     max_v=0.22,
     max_w=2.84,
     bounds=(-1.0, -2.0, 3.0, 4.0),

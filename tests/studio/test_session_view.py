@@ -115,5 +115,6 @@ def test_layers_lie_where_the_robot_is(tmp_path):
         person.wait(12.0)
         view = person.view
         assert view.graph.edges[:, :2].max() == len(view.graph.nodes) - 1
+        assert len(np.unique(view.graph.edges, axis=0)) == len(view.graph.edges), "a step drawn twice"
         assert view.sure > 0.5
         assert np.linalg.norm(view.graph.nodes[-1, :2] - view.T_world_base.xy) < 1.0

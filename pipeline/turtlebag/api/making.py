@@ -230,6 +230,11 @@ def part_name(part: Any) -> Any:
     return name_of(part) if inspect.isclass(part) else part
 
 
+def planner_name(planner: str | type | None) -> str | None:
+    """The name of a planner, given by it or as a class."""
+    return None if planner is None else text_of(part_name(planner), "planner", "a name or a class")
+
+
 def setting_words(settings: Mapping[str, Any] | None, **more: Any) -> list[str]:
     """`{"loops.match": "open3d"}` as `loops.match=open3d`, which --set takes; classes by their names. `more`
     are settings with arguments of their own; None does not change them."""

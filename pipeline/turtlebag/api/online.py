@@ -10,6 +10,7 @@ from turtlebag.api.making import (
     PathLike,
     Pose,
     in_python,
+    initial_pose_of,
     path_if,
     pose_of,
     require_seed,
@@ -170,9 +171,9 @@ class Localiser:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or setting, or an unreadable map."""
-        told = initial_pose if isinstance(initial_pose, str) else pose_of(initial_pose, "initial_pose")
-        if isinstance(told, str) and told != "global":
-            raise InputError(f"initial_pose: expected x, y, yaw or global, not {told!r}")
+        told = initial_pose_of(initial_pose, "global")
+        if told is None:
+            raise InputError("initial_pose: give x, y, yaw or global")
         with in_python():
             self._heard = _Listener(robot, laser)
             self._config = load_localise_config(path_if(config, "config"), setting_words(settings))

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.api.making import PathLike, Step, TemporaryFolder, path_of
+from turtlebag.api.making import PathLike, Step, TemporaryFolder, path_of, text_of
 from turtlebag.api.tables import Table, Trajectory
 from turtlebag.datasets import types
 from turtlebag.datasets.bags.reader import bag_info
@@ -260,6 +260,11 @@ class Map(Output):
         from turtlebag.reports.figures.maps import plain_map
 
         return super()._picture() if self.stage is not None else svg_of(plain_map, self.occupancy, {})
+
+
+def robot_for(map: Map, robot: PathLike | None) -> str:
+    """The robot to plan for: the one that made the map, and the burger where that is not known."""
+    return text_of(map.robot or "burger" if robot is None else robot, "robot")
 
 
 def as_map(map: PathLike) -> Map:

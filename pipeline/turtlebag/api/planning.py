@@ -9,14 +9,13 @@ from turtlebag.api.making import (
     PathLike,
     Pose,
     in_python,
-    part_name,
     path_if,
+    planner_name,
     pose_of,
     require_seed,
     setting_words,
-    text_of,
 )
-from turtlebag.api.outputs import as_map
+from turtlebag.api.outputs import as_map, robot_for
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.stages.plan import PlanStageConfig, Query, planner_settings, search
 from turtlebag.pipeline.stages.settings import load_config
@@ -43,14 +42,12 @@ class Planner:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or planner, or an unreadable map."""
-        by = None if planner is None else text_of(part_name(planner), "planner", "a name or a class")
+        by = planner_name(planner)
         with in_python():
             words = [*setting_words(settings), *planner_settings(by)]
             self._config = load_config(PlanStageConfig, path_if(config, "config"), words)
             self._map, self._seed = as_map(map), require_seed(seed)
-            self._robot = load_robot(
-                text_of(self._map.robot or "burger" if robot is None else robot, "robot")
-            )
+            self._robot = load_robot(robot_for(self._map, robot))
             self._costmap = costmap_from_grid(self._map.occupancy, self._config.costmap)
 
     def plan(self, start: Pose, goal: Pose) -> Array:

@@ -16,6 +16,7 @@ from turtlebag.api.making import (
     setting_words,
     text_of,
 )
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.stages.record import RecordOptions, Scene
@@ -87,7 +88,7 @@ class Simulator:
     @property
     def time_s(self) -> float:
         """Simulated seconds since the start."""
-        return self._observation.stamp_ns * 1e-9
+        return seconds(self._observation.stamp_ns)
 
     def clearance(self) -> float:
         """Distance from the robot to the nearest thing [m]."""

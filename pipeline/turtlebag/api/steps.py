@@ -19,13 +19,14 @@ from turtlebag.api.making import (
     list_of,
     part_name,
     path_of,
+    planner_name,
     pose_of,
     require_seed,
     setting_words,
     step,
     text_of,
 )
-from turtlebag.api.outputs import Bag, Map, as_map
+from turtlebag.api.outputs import Bag, Map, as_map, robot_for
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
 from turtlebag.api.rivals import Rivals, rival_options
 from turtlebag.api.tasks import Avoid, Explore, Patrol, Task, keepout_option, task_options
@@ -161,10 +162,10 @@ def plan(
     on = as_map(map)
     given = {
         "map": on.yaml,
-        "robot": text_of(on.robot or "burger" if robot is None else robot, "robot"),
+        "robot": robot_for(on, robot),
         "start": pose_of(start, "start"),
         "goal": pose_of(goal, "goal"),
-        "planner": None if planner is None else text_of(part_name(planner), "planner", "a name or a class"),
+        "planner": planner_name(planner),
         "compare": compare,
         "seed": require_seed(seed),
     }
