@@ -9,13 +9,14 @@ import turtlebag.pipeline.slam.mapper as mapper_module
 import turtlebag.pipeline.slam.tracker as tracker_module
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import LidarSpec
+from turtlebag.datasets.types import LidarSpec, Trajectory
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.drift import HONEST
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, joined, without
+from turtlebag.pipeline.slam.growing_log import GrowingLog, heard
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
 from turtlebag.pipeline.slam.loop_search import Loop, LoopConfig, step_lengths
 from turtlebag.pipeline.slam.mapper import Mapper
@@ -99,6 +100,26 @@ def test_the_map_begins_where_the_odometry_does():
     begun = mapper.add(LOG.scan(0), LOG.T_odom_base[0])
     np.testing.assert_allclose(begun.xyt, LOG.T_odom_base.xyt[0], atol=1e-9)
     np.testing.assert_allclose(mapper.T_map_odom.xyt, 0.0, atol=1e-9)
+
+
+def test_a_log_heard_with_a_stream_of_odometry_is_the_log_it_was_and_keeps_the_newest_of_it():
+    log, rng = first(30), np.random.default_rng(2)
+    log = replace(log, lidar=replace(log.lidar, time_increment=0.15 / 359))
+    stamps = np.arange(log.stamps_ns[0], log.stamps_ns[-1] + 1, 50_000_000)
+    stream = Trajectory(stamps, SE2(rng.normal(size=(len(stamps), 3))))
+    growing = GrowingLog(log.lidar, log.T_base_lidar)
+    for scan, odometry in heard(replace(log, odometry=stream)):
+        growing.append(scan, odometry, [])
+        assert odometry.stamps_ns[-1] == min(scan.stamp_ns + 150_000_000, stamps[-1])
+    found = growing.recording()
+    np.testing.assert_array_equal(found.ranges, log.ranges)
+    np.testing.assert_allclose(found.T_odom_base.xyt, stream.poses.xyt[::4], atol=1e-9)
+    growing.keep(np.arange(30) >= 28)
+    logs = (found, 30, len(stamps)), (growing.last(), 1, 64), (growing.recording(), 2, 64)
+    for some, scans, samples in logs:
+        np.testing.assert_array_equal(some.stamps_ns, log.stamps_ns[-scans:])
+        np.testing.assert_array_equal(some.odometry.stamps_ns, stamps[-samples:])
+        np.testing.assert_array_equal(some.odometry.poses.xyt, stream.poses.xyt[-samples:])
 
 
 def chain(n, rng):
