@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.pipeline.localisation import agreement as agreement_module
 from turtlebag.pipeline.localisation import sampling
 from turtlebag.pipeline.localisation.estimate import Estimate
-from turtlebag.pipeline.localisation.interface import require_estimate
+from turtlebag.pipeline.localisation.localiser import require_estimate
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 
