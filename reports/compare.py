@@ -67,8 +67,8 @@ def compare(a: Stage, b: Stage) -> Comparison:
         one, other = lookup(metrics_a, spec.path), lookup(metrics_b, spec.path)
         if one is not None or other is not None:
             rows.append(_row(spec, _number(one), _number(other)))
-    files = sorted(set(a.outputs) & set(b.outputs))
-    same = [path for path in files if a.outputs[path] == b.outputs[path]]
+    files = sorted(set(a.manifest.outputs) & set(b.manifest.outputs))
+    same = [path for path in files if a.manifest.outputs[path] == b.manifest.outputs[path]]
     settings = changed_settings(a.config, b.config)
     commands = command_of(a, "A"), command_of(b, "B")
     known = all("source" in stage.manifest.inputs for stage in (a, b))

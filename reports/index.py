@@ -68,7 +68,7 @@ def index_lines(outputs: Mapping[Path, str]) -> list[Line]:
         digest: stage
         for stage in stages.values()
         if stage.kind == "record"
-        for path, digest in stage.outputs.items()
+        for path, digest in stage.manifest.outputs.items()
         if path.startswith("bag/bag_")
     }
     return [_line(stage, name, _recording_of(stage, records)) for name, stage in stages.items()]
@@ -95,7 +95,7 @@ def _name(folder: Path, root: Path) -> str:
 def _line(stage: Stage, name: str, recording: Stage | None) -> Line:
     metrics = stage_metrics(stage)
     source = recording if recording is not None else stage
-    seed = stage.seed if stage.seed is not None else source.seed
+    seed = stage.manifest.seed if stage.manifest.seed is not None else source.manifest.seed
     mood, _ = verdict(stage, metrics) if stage.metrics else ("neutral", "")
     return Line(
         name,

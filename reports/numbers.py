@@ -73,7 +73,7 @@ def files_of(stage: Stage, sources: Sequence[str]) -> dict[str, str]:
     """sha256 of the stage's files that `sources` name: one, or all in a folder (`name/`) or `begin*`."""
     return {
         path: digest
-        for path, digest in stage.outputs.items()
+        for path, digest in stage.manifest.outputs.items()
         if any(path == source or (source[-1] in "/*" and path.startswith(source[:-1])) for source in sources)
     }
 

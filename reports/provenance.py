@@ -47,10 +47,10 @@ def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
     return Step(
         label,
         shlex.join(renamed(stage.command, names)),
-        DASH if stage.seed is None else str(stage.seed),
-        stage.outputs.get("config.yaml", ""),
+        DASH if stage.manifest.seed is None else str(stage.manifest.seed),
+        stage.manifest.outputs.get("config.yaml", ""),
         inputs,
-        sorted(stage.outputs.items()),
+        sorted(stage.manifest.outputs.items()),
     )
 
 

@@ -117,7 +117,7 @@ def _differences(stages: Sequence[Stage], recordings: Sequence[str | None]) -> l
 def _value(stage: Stage, name: str) -> str | None:
     """What a stage was told by an option: numbers as a pose, of a file its name alone."""
     if name == "seed":
-        return None if stage.seed is None else str(stage.seed)
+        return None if stage.manifest.seed is None else str(stage.manifest.seed)
     if name == "set":
         return ", ".join(stage.options("set")) or None
     text = stage.fact(name) if name in ("robot", "teleop") else stage.option(name)

@@ -72,16 +72,6 @@ class Stage:
         """The command line that made it."""
         return self.manifest.command
 
-    @property
-    def seed(self) -> int | None:
-        """Its seed, where it had one."""
-        return self.manifest.seed
-
-    @property
-    def outputs(self) -> dict[str, str]:
-        """sha256 of every file by its path in the folder."""
-        return self.manifest.outputs
-
     def option(self, name: str) -> str | None:
         """Value of `--name` in its command line."""
         return next(iter(self.options(name)), None)
@@ -199,7 +189,7 @@ class Stage:
 
     def linking_hashes(self) -> set[str]:
         """Hashes of the data files it read or wrote."""
-        files = dict(self.outputs)
+        files = dict(self.manifest.outputs)
         for name, entry in self.manifest.inputs.items():
             files |= {f"{name}/{path}": digest for path, digest in entry.sha256.items()}
         return {
@@ -232,7 +222,7 @@ class Group:
         for inputs in ("truth",), tuple(stage.manifest.inputs):
             read = stage.read_hashes(inputs)
             for record in self.of_kind("record"):
-                wrote = {digest for path, digest in record.outputs.items() if path.endswith(DRIVEN)}
+                wrote = {digest for path, digest in record.manifest.outputs.items() if path.endswith(DRIVEN)}
                 if wrote & read:
                     return record
             if read and inputs == ("truth",):
@@ -252,7 +242,10 @@ class Group:
         wanted = {digest for entry in given.values() for digest in entry.sha256.values()}
         for other in self.stages:
             for folder, grid in (("", other.map), ("truth/", other.true_map)):
-                if wanted <= {other.outputs.get(f"{folder}map.yaml"), other.outputs.get(f"{folder}map.pgm")}:
+                if wanted <= {
+                    other.manifest.outputs.get(f"{folder}map.yaml"),
+                    other.manifest.outputs.get(f"{folder}map.pgm"),
+                }:
                     return grid
         return None
 

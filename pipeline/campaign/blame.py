@@ -57,7 +57,7 @@ def blame(
         if patrol:
             left["patrol"] = _patrol(record, folder / "map.yaml", parts)
         inputs, config_yaml = {"source": folder_of_record}, config_text(resolved)
-        out.finish(folder, "blame", inputs, metrics=left, config=config_yaml, seed=record.seed)
+        out.finish(folder, "blame", inputs, metrics=left, config=config_yaml, seed=record.manifest.seed)
     return 0
 
 
@@ -66,6 +66,6 @@ def _patrol(record: Stage, built: Path, parts: list[str]) -> RunMetrics:
     world = load_world(record.fact("world") or "")
     sim = SimConfig.model_validate(record.config.get("sim", {}))
     robot = load_robot(record.fact("robot") or world.robot)
-    request = Request(task="patrol", seed=record.seed or 0, map_path=built, initial_pose="start")
+    request = Request(task="patrol", seed=record.manifest.seed or 0, map_path=built, initial_pose="start")
     mission = prepare(request, robot, NavigateConfig(sim=sim), world.keepout)
     return true_drive(world, mission, record.folder / "truth/map.yaml", parts).metrics

@@ -48,7 +48,7 @@ def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
             return None
         if _read(read_manifest(out / "manifest.json")) != _read(stage.manifest):
             return None
-        return Remade(read_json(out / "metrics.json"), changed_files(out, stage.outputs))
+        return Remade(read_json(out / "metrics.json"), changed_files(out, stage.manifest.outputs))
 
 
 def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:

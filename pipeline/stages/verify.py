@@ -119,8 +119,10 @@ def _check_report_files(report: Path, manifest: Manifest, groups: list[Group], f
                 continue
             then = manifest.inputs[name].sha256
             # In the folder of a stage there may be files that it did not make.
-            others = {path: digest for path, digest in then.items() if path not in stage.outputs}
-            again = [path for path, digest in then.items() if stage.outputs.get(path, digest) != digest]
+            others = {path: digest for path, digest in then.items() if path not in stage.manifest.outputs}
+            again = [
+                path for path, digest in then.items() if stage.manifest.outputs.get(path, digest) != digest
+            ]
             for path in [*again, *changed_files(stage.folder, others)]:
                 found.problems.append(f"{name}/{path}: changed since the report was made")
 
@@ -134,8 +136,8 @@ def _check_stage(
     found: Verification,
 ) -> None:
     name = f"{group.name}/{stage.label}"
-    found.files += len(stage.outputs)
-    changed = changed_files(stage.folder, stage.outputs)
+    found.files += len(stage.manifest.outputs)
+    changed = changed_files(stage.folder, stage.manifest.outputs)
     found.problems += [f"{name}/{path}: does not match its manifest" for path in changed]
     found.problems += [f"{name}: {said}" for said in changed_parts(stage)]
     disagreement = truth_disagreement(stage)

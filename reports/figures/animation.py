@@ -36,21 +36,9 @@ SUPER = 2
 """Drawn this much larger, then averaged: smooth lines from plain ones."""
 
 UNSEEN, FREE, WALL, INK, BLUE, PURPLE, GREEN, ORANGE, SKY, GREY = range(10)
-COLOURS = tuple(
-    ImageColor.getrgb(colour)
-    for colour in (
-        "#dadfe5",
-        style.PAPER,
-        "#3c444d",
-        style.INK,
-        style.SLAM,
-        style.ODOMETRY,
-        style.GOOD,
-        style.BAD,
-        style.TRUTH,
-        "#969ea8",
-    )
-)
+GROUNDS = ("#dadfe5", style.PAPER, "#3c444d")
+MARKS = (style.INK, style.SLAM, style.ODOMETRY, style.GOOD, style.BAD, style.TRUTH, "#969ea8")
+COLOURS = tuple(ImageColor.getrgb(colour) for colour in (*GROUNDS, *MARKS))
 
 
 @dataclass(frozen=True)

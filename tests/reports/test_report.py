@@ -201,9 +201,9 @@ def test_a_damaged_manifest_is_bad_input(text, tmp_path):
 
 def test_a_changed_output_is_found_by_its_hash(tmp_path):
     stage = load_stage(fake_record(tmp_path / "record"))
-    assert changed_files(stage.folder, stage.outputs) == []
+    assert changed_files(stage.folder, stage.manifest.outputs) == []
     (tmp_path / "record/truth/trajectory.tum").write_text("0 0 0 0 0 0 0 1\n")
-    assert changed_files(stage.folder, stage.outputs) == ["truth/trajectory.tum"]
+    assert changed_files(stage.folder, stage.manifest.outputs) == ["truth/trajectory.tum"]
 
 
 def test_values_are_shown_in_human_units():
