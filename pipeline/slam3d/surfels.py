@@ -213,7 +213,7 @@ def observable(information: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True, _nrt=False)
 def nearest_surfel(q: Array, o: Array, surfels: Surfels, gate: float) -> int:
     """The surfel nearest to a point (3,) within its voxel and those around; -1 for none within the gate. It
     must face `o` (3,), from which the point was seen: the far side of a wall is not visible."""
