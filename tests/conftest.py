@@ -23,6 +23,11 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.get_closest_marker("longest") is None)
 
 
+def pytest_collection_finish():
+    """All that was imported and collected stays to the end: no garbage is looked for in it any more."""
+    gc.freeze()
+
+
 def pytest_terminal_summary(terminalreporter):
     """What was not tested here, and why: a line for each reason."""
     reports = [r for r in terminalreporter.getreports("skipped") if isinstance(r.longrepr, tuple)]
