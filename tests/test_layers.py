@@ -48,6 +48,12 @@ def path_of(module: str) -> str:
 
 
 @cache
+def nodes(path: Path) -> list[ast.AST]:
+    """All of a file's syntax tree."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
+@cache
 def imported(path: Path) -> set[str]:
     """Modules of ours that a file imports, as paths.
 
@@ -55,7 +61,7 @@ def imported(path: Path) -> set[str]:
     `importlib` is asked for one.
     """
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -101,7 +107,7 @@ def test_every_package_is_imported_by_one_name():
     # Not what is hidden, as .venv is: that has more files than all the rest.
     for folder in (path for path in ROOT.iterdir() if not path.name.startswith(".")):
         for path in folder.rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text())):
+            for node in nodes(path):
                 module = node.module if isinstance(node, ast.ImportFrom) else None
                 assert (module or "").split(".")[0] not in (*BELOW, "pipeline"), path
                 if (
@@ -116,7 +122,7 @@ def test_every_package_is_imported_by_one_name():
 def names_read(path: Path) -> set[str]:
     """Attributes that a module reads, getattr with a constant name included."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.Attribute):
             found.add(node.attr)
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "getattr":

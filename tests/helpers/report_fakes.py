@@ -1,6 +1,7 @@
 """Small stage outputs with the contract's files, made without simulating anything."""
 
 import json
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Trajectory, Twist
 from turtlebag.reports.figures.album import Album
+from turtlebag.reports.figures.style import styled
 from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.navigation import pose_error
 from turtlebag.reports.metrics.trajectory import ate, trajectory_metrics
@@ -240,15 +242,29 @@ def fake_plan(folder: Path, map_folder: Path) -> Path:
     return folder
 
 
+def _empty(album: Album, folder: Path, name: str, draw: object) -> str:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.png").touch()
+    return "<svg></svg>"
+
+
 @contextmanager
 def undrawn():
     """Reports made inside have empty pictures: for what is asked of the words and tables alone, because
     drawing takes nine tenths of a report's time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Album, "_saved", _empty)
+        yield
 
-    def saved(album: Album, folder: Path, name: str, draw: object) -> str:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{name}.png").touch()
-        return "<svg></svg>"
+
+@contextmanager
+def unrendered():
+    """As `undrawn`, but every figure is composed, though not laid out and written: where that may fail."""
+
+    def saved(album: Album, folder: Path, name: str, draw: Callable[[], object]) -> str:
+        with styled():
+            draw()
+        return _empty(album, folder, name, draw)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Album, "_saved", saved)

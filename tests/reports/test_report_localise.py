@@ -7,7 +7,15 @@ import shutil
 import numpy as np
 import pytest
 
-from tests.helpers.report_fakes import fake_localise, fake_map, fake_plan, fake_record, fake_run, rehash
+from tests.helpers.report_fakes import (
+    fake_localise,
+    fake_map,
+    fake_plan,
+    fake_record,
+    fake_run,
+    rehash,
+    unrendered,
+)
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
@@ -51,7 +59,8 @@ def test_a_plan_that_found_nothing_is_reported_with_its_reason(tmp_path):
     (plan / "metrics.json").write_text('{"success": false, "reason": "no way round the pillar"}')
     rehash(plan, "path.csv")
     rehash(plan, "metrics.json")
-    page = make_report([plan], Output(tmp_path / "out"), animate=False).read_text()
+    with unrendered():
+        page = make_report([plan], Output(tmp_path / "out"), animate=False).read_text()
     assert "No path was found: no way round the pillar." in page
     assert verify(tmp_path / "out", main).problems == []
 
@@ -89,7 +98,8 @@ def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_a
     rehash(located, "metrics.json")
     for name in ("map.pgm", "map.yaml"):
         shutil.copy(built / name, run / name)
-    page = make_report([record, located, run], Output(tmp_path / "out"), animate=False).read_text()
+    with unrendered():
+        page = make_report([record, located, run], Output(tmp_path / "out"), animate=False).read_text()
     assert "Rejected: no initial pose." in page
     assert "<strong>Not localised.</strong>" in page
     assert "<strong>The map it built.</strong>" in page
@@ -139,7 +149,8 @@ def test_without_a_run_the_headline_says_what_there_is_and_whether_it_was_found(
     plan, located = fake_plan(tmp_path / "plan", built), fake_localise(tmp_path / "localise", record, built)
 
     def head(name, *folders):
-        page = make_report(list(folders), Output(tmp_path / name), animate=False).read_text()
+        with unrendered():
+            page = make_report(list(folders), Output(tmp_path / name), animate=False).read_text()
         return re.search(r'<h1 class="(\w+)">(.*?)</h1>', page).groups(), page
 
     assert head("one", record)[0] == ("neutral", "1 recording, no navigation")
