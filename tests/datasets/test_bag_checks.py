@@ -4,13 +4,15 @@ import inspect
 import math
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, S
+from tests.helpers.foreign_bags import ODOMETRY, SCAN, STORE, TF, S, laser_scan
 from turtlebag.datasets.bags import doctor
-from turtlebag.datasets.bags.decode import RawTransform
+from turtlebag.datasets.bags import survey as survey_module
+from turtlebag.datasets.bags.decode import Cursor, RawTransform
 from turtlebag.datasets.bags.message import Topic, full_type
 from turtlebag.datasets.bags.survey import ScanSurvey, Survey, TopicSurvey
 
@@ -172,6 +174,16 @@ def scanned(n=11, angles=(0.0, 1.0, 0.1), times=(0.0, 0.1), limits=(0.1, 8.0), *
 def test_scans_are_judged_by_their_usual_geometry(made, says):
     found = told(doctor._scans(survey(topic("/scan", SCAN, [0, S]), scans={"/scan": made})))
     assert [what for _, _, what in found] == [f"/scan: {text}" for text in says]
+
+
+def test_scans_without_a_number_or_without_a_return_are_counted_once_each():
+    found, scan_topic, nan, inf = survey(), topic("/scan", SCAN), math.nan, math.inf
+    for ranges in ([nan, nan], [inf, 0.0], [1.0, nan], [0.0, 2.0]):
+        data = bytes(STORE.serialize_cdr(laser_scan(S, np.array(ranges)), SCAN))
+        survey_module._scan(found, scan_topic, SimpleNamespace(cursor=Cursor), data)
+    counted = found.scans["/scan"]
+    assert (counted.readings, counted.zeros, counted.all_nan, counted.no_return) == (8, 2, 1, 1)
+    assert scan_topic.stamps == [S] * 4
 
 
 def test_sizes_that_vary_and_sweeps_that_overlap_are_named():

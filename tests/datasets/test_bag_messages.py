@@ -255,3 +255,10 @@ def test_a_planar_covariance_stands_in_the_rows_of_x_y_and_yaw():
     full = np.array(cdr.planar_covariance(given)).reshape(6, 6)
     np.testing.assert_array_equal(full[np.ix_((0, 1, 5), (0, 1, 5))], given)
     assert np.count_nonzero(full) == 8
+
+
+def test_many_poses_that_fill_their_message_to_the_end_are_read_back():
+    poses = SE2(np.random.default_rng(4).uniform(-3.0, 3.0, (100, 3)))
+    stamp, found = decode.pose_array(Cursor(cdr.pose_array("map", STAMP, poses)))
+    assert stamp == STAMP
+    np.testing.assert_allclose(found, poses.xyt, atol=1e-9)
