@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.turn_comparison import DELAYS_S, Timing, _Turns, compared_turns, in_step
+from turtlebag.pipeline.slam.turn_comparison import DELAYS_S, Timing, _delay, _Turns, compared_turns, in_step
 
 ROUTE = np.array(
     [(14.7, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5), (14.7, 7.0)]
@@ -53,6 +53,15 @@ def late(recording, seconds):
     stream = recording.odometry or Trajectory(recording.stamps_ns, recording.T_odom_base)
     moved = recording.odometry and Trajectory(stream.stamps_ns + ns, stream.poses)
     return replace(recording, T_odom_base=stream.at(recording.stamps_ns - ns), odometry=moved)
+
+
+@pytest.mark.parametrize(
+    ("side", "late_s", "told"), [(0, 0.0, (0.0, False)), (0, -0.3, (-0.3, False)), (1, 0.1, (0.0, True))]
+)
+def test_odometry_is_late_or_turned_over_by_the_delay_at_which_all_turns_agree(side, late_s, told):
+    off = np.random.default_rng(1).normal(0.0, 0.3, (2, len(DELAYS_S), 32))
+    off[side, np.abs(DELAYS_S - late_s).argmin()] = 0.0
+    assert _delay(_Turns(off, np.repeat(np.arange(8), 4))) == pytest.approx(told)
 
 
 def test_one_in_three_stretches_are_the_first_the_fourth_and_so_on():
