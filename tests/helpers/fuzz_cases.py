@@ -75,11 +75,11 @@ factors:
 stages:
   record: "record --world room --teleop {teleop} --seed {level} {extra}"
   map: "map {record} --truth {record}/truth"
-results: {ate_m: "map:ate_m.rmse", touched: "record:touched"}
+results: {ate_m: {at: "map:ate_m.rmse", unit: cm}, touched: "record:touched"}
 compare: teleop
 against: a
 figures:
-  - {x: level, y: ate_m, lines: teleop, unit: cm, log: true, title: Error}
+  - {x: level, y: ate_m, lines: teleop, log: true, title: Error}
 """
 
 

@@ -198,8 +198,8 @@ def test_what_keeps_the_session_is_named_while_it_does(served, monkeypatch):
         client = await connect(served.url)
         await client.until(lambda p: p.head)
         assert client.picture.head["busy"] is None
-        client.ask("map_save", name="m")
         asked = time.monotonic()
+        client.ask("map_save", name="m")
         await client.until(lambda p: p.head["busy"] == "map_save")
         assert 0.3 < time.monotonic() - asked < 0.7
         late = await connect(served.url)
