@@ -78,7 +78,7 @@ def tree(tmp_path):
     (root / "tests/planners/test_a.py").write_text(
         "from turtlebag.planners.a import double\n\ndef test_double():\n    assert double(3) == 6\n"
     )
-    (root / "tests/planners/test_b.py").write_text("def test_beside():\n    assert True\n")
+    (root / "tests/planners/test_b.py").write_text("def test_beside():\n    assert 2 + 2 == 4\n")
     (root / "pyproject.toml").write_text('[tool.pytest.ini_options]\nmarkers = ["slow"]\n')
     subprocess.run(["git", "init", "-q"], cwd=root, check=True)
     return Tree(root, tmp_path / "home")
