@@ -22,7 +22,7 @@ from turtlebag.datasets.types import Observation, Odometry, Recording, Twist
 from turtlebag.pipeline.navigation.driver_setup import Made, Mission, make_driver, prepare
 from turtlebag.pipeline.navigation.episode import Episode, drive
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_end import Placed
@@ -132,10 +132,12 @@ class _TrueWheels(Simulator):
         return replace(observation, odometry=odometry)
 
 
-class _TrueLocaliser(Localiser):
+class _TrueLocaliser(OnlineLocaliser):
     """Knows where the robot is. The filter that it takes the place of only says that it was told its pose."""
 
-    def __init__(self, usual: Localiser, sensing: Sensing, bag: BagWriter, simulator: Simulator) -> None:
+    def __init__(
+        self, usual: OnlineLocaliser, sensing: Sensing, bag: BagWriter, simulator: Simulator
+    ) -> None:
         super().__init__(usual.amcl, sensing.odometry, bag)
         self.T_map_odom = usual.T_map_odom
         self._simulator = simulator

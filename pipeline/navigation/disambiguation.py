@@ -18,7 +18,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.agreement import DIFFERENT
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.planners.control.goal_checker import PASSING
 from turtlebag.planners.control.monitor import PADDING_M
 from turtlebag.planners.costmap import Costmap, ways_from
@@ -54,7 +54,7 @@ class Disambiguation:
         """A teleop override has ended."""
         self._runner = None
 
-    def judge(self, localiser: Localiser) -> SE2 | None:
+    def judge(self, localiser: OnlineLocaliser) -> SE2 | None:
         """Take in the scan that the filter has just used; the motion of the map to the one that is left."""
         assert localiser.T_map_odom is not None
         poses = self._hypotheses.poses

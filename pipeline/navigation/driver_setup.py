@@ -25,7 +25,7 @@ from turtlebag.pipeline.navigation.drivers import (
     make_navigator,
 )
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
@@ -157,7 +157,7 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})
 
 
-Made = tuple[Task, Localiser | None, GoalSequence | None]
+Made = tuple[Task, OnlineLocaliser | None, GoalSequence | None]
 DriverMaker = Callable[[Mission, Observation, BagWriter, Callable[[str], None]], Made]
 
 

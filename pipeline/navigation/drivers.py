@@ -22,7 +22,7 @@ from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.goal_runner import Tools
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
@@ -72,13 +72,13 @@ class Kit:
 
 def make_navigator(
     kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.DRIVE
-) -> tuple[NavigationDriver, Localiser]:
+) -> tuple[NavigationDriver, OnlineLocaliser]:
     """A driver on a map, and its localiser, not yet initialised."""
     config, robot = kit.config, kit.robot
     lidar = robot.lidar.spec(config.sim.lidar.turning)
     parts = grid, lidar, robot.T_base_lidar, config.amcl
     amcl = make_localiser(config.localiser, *parts, stream(kit.seed, "amcl"))
-    localiser = Localiser(amcl, kit.sensing.odometry, kit.publisher)
+    localiser = OnlineLocaliser(amcl, kit.sensing.odometry, kit.publisher)
     tools = kit.tools(ObstacleLayer(costmap))
     search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))

@@ -13,7 +13,7 @@ from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
 from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
@@ -196,7 +196,7 @@ class NavigationDriver(Driver):
         self.relocaliser.localiser.observe(observation)
         return self._localised(self.relocaliser.localiser, observation)
 
-    def _localised(self, localiser: Localiser, observation: Observation) -> SE2 | None:
+    def _localised(self, localiser: OnlineLocaliser, observation: Observation) -> SE2 | None:
         """Use the localiser's pose, which jumps when the estimate is moved to another place."""
         self.estimate = localiser.T_map_base(observation.odometry.T_odom_base)
         return localiser.T_map_odom

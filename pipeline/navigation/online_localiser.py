@@ -10,19 +10,19 @@ import numpy as np
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
-from turtlebag.pipeline.localisation import localiser
+from turtlebag.pipeline.localisation.localiser import Localiser, require_estimate
 from turtlebag.pipeline.localisation.pose_hypotheses import Keyframe
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 
 
-class Localiser:
+class OnlineLocaliser:
     """The robot's pose on the map, tick by tick."""
 
     PARTICLES_EVERY_NS = 10**9
     PARTICLES_SHOWN = 500
     KEYFRAMES = 5
 
-    def __init__(self, amcl: localiser.Localiser, odometry: OdometryBuffer, publisher: BagWriter) -> None:
+    def __init__(self, amcl: Localiser, odometry: OdometryBuffer, publisher: BagWriter) -> None:
         self.amcl = amcl
         self._publisher = publisher
         self._odometry = odometry
@@ -75,7 +75,7 @@ class Localiser:
         T_odom_base = self._odometry.at(scan.stamp_ns)
         self._seen = (scan, T_odom_base, self._odometry.at(sweep_end_ns(scan)))
         updated = self.amcl.update(*self._seen)
-        localiser.require_estimate(self.amcl)
+        require_estimate(self.amcl)
         self.pushed = self.amcl.pushes > pushes
         self.T_map_odom = self.amcl.T_map_odom
         T_map_base = self.T_map_odom @ T_odom_base

@@ -10,7 +10,7 @@ from turtlebag.pipeline.localisation.agreement import SETTLING
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
@@ -28,7 +28,7 @@ class Relocaliser:
     def __init__(
         self,
         machine: RelocalisationStates,
-        localiser: Localiser,
+        localiser: OnlineLocaliser,
         aliasing: Aliasing,
         tools: Tools,
         avoidance: ReactiveAvoidance,
@@ -178,12 +178,12 @@ class _Sureness:
         self._updates = self._sure = 0
         self._sure_of = SE2.identity()
 
-    def new_update(self, localiser: Localiser) -> bool:
+    def new_update(self, localiser: OnlineLocaliser) -> bool:
         """Whether the filter has used a scan since the last call."""
         before, self._updates = self._updates, localiser.updates
         return localiser.updates > before
 
-    def doubtful(self, localiser: Localiser, T_map_odom: SE2, T_odom_base: SE2) -> bool:
+    def doubtful(self, localiser: OnlineLocaliser, T_map_odom: SE2, T_odom_base: SE2) -> bool:
         """Whether to search for other places, given a certain estimate.
 
         A robot that was never certain was given a pose and corrects it: whoever gave it knows the place.

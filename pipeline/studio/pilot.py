@@ -23,7 +23,7 @@ from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S
 from turtlebag.pipeline.navigation.drivers import Kit, make_navigator
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.planners.control.controller import SpeedLimits, ramped
@@ -73,7 +73,7 @@ class Task:
 class WiggleDriver(Driver):
     """Turns back and forth, as far as there is room; it only watches the localiser, which the pilot feeds."""
 
-    def __init__(self, kit: Kit, localiser: Localiser) -> None:
+    def __init__(self, kit: Kit, localiser: OnlineLocaliser) -> None:
         super().__init__(kit.sensing)
         model = kit.robot.model
         self._localiser = localiser
@@ -140,7 +140,7 @@ class Pilot(Driver):
         self.state = "idle"
 
     @property
-    def localiser(self) -> Localiser | None:
+    def localiser(self) -> OnlineLocaliser | None:
         """That of the navigation; None without a map."""
         relocaliser = None if self.navigation is None else self.navigation.relocaliser
         return None if relocaliser is None else relocaliser.localiser

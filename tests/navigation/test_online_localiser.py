@@ -7,7 +7,7 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Twist
-from turtlebag.pipeline.navigation.online_localiser import Localiser
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer
 
 TICK_NS = 200_000_000
@@ -42,7 +42,7 @@ def test_a_cloud_is_published_only_at_a_scan_that_the_filter_used():
         amcl_pose=lambda *of: None,
     )
     odometry = OdometryBuffer()
-    localiser = Localiser(amcl, odometry, publisher)
+    localiser = OnlineLocaliser(amcl, odometry, publisher)
     for k in range(20):
         odometry.add(k * TICK_NS, observation(k).odometry.T_odom_base)
         localiser.observe(observation(k))
