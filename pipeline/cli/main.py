@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from itertools import takewhile
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -48,17 +49,28 @@ EXIT_OK, EXIT_INPUT = 0, 2
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and exit code 2."""
+    """An argument parser whose errors are one line and exit code 2; it takes no abbreviated options, whose
+    meaning would change with the next option that begins alike."""
 
-    def parse_known_args(self, *words: Any, **more: Any) -> tuple[Any, list[str]]:
-        """As argparse's, except that the verb's parser reports unknown options, because it can suggest
-        some."""
-        found, unknown = super().parse_known_args(*words, **more)
+    def __init__(self, **more: Any) -> None:
+        super().__init__(allow_abbrev=False, **more)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """As argparse's, except that the verb's parser reports what is unknown: first options, which may be
+        a required one misspelt, and it can suggest some."""
+        if self._subparsers is None:
+            for word in takewhile(lambda word: word != "--", args):
+                if word.startswith("--") and word.partition("=")[0] not in self._option_string_actions:
+                    self._report([word])
+        found, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
-            meant = f"; did you mean {near[0]}?" if near else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+            self._report(unknown)
         return found, unknown
+
+    def _report(self, unknown: list[str]) -> NoReturn:
+        near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
 
     def error(self, message: str) -> NoReturn:
         where = self.prog.removeprefix("turtlebag").strip()

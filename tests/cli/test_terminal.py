@@ -43,7 +43,7 @@ def test_a_usage_error_is_one_line_that_begins_once_with_the_program(capsys, wor
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--sed", "1"], "unrecognized arguments: --sed 1; did you mean --seed?"),
+        (["--sed", "1"], "unrecognized arguments: --sed; did you mean --seed?"),
         (["--sed=1"], "unrecognized arguments: --sed=1; did you mean --seed?"),
         (["--qqq"], "unrecognized arguments: --qqq"),
     ],
@@ -51,6 +51,11 @@ def test_a_usage_error_is_one_line_that_begins_once_with_the_program(capsys, wor
 def test_an_unknown_option_is_told_by_its_verb_with_the_nearest_one(capsys, words, said):
     assert main(["record", "--world", "empty", "--out", "x", *words]) == 2
     assert capsys.readouterr().err == f"turtlebag: record: {said} (see turtlebag record --help)\n"
+
+
+def test_an_option_is_not_abbreviated_and_a_misspelt_required_one_is_told_first(capsys):
+    assert main(["record", "--wor", "empty", "--out", "x"]) == 2
+    assert "unrecognized arguments: --wor; did you mean --world?" in capsys.readouterr().err
 
 
 def test_the_help_of_navigate_tells_the_times_that_are_taken(capsys):
