@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants pytest study-advice study-blame study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants pytest study-advice study-ablation study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -138,7 +138,7 @@ bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question 
 mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)
 	$(PY) -m tests.mutants --seed $(SEED) $(if $(N),--count $(N))
 
-study-advice study-blame study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
+study-advice study-ablation study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*
 
 dist: $(READY) ## build the sdist, and the wheel from it, into dist/

@@ -45,7 +45,7 @@ class RunLog:
 
     `T_map_base` is the estimate, NaN while the robot does not know where it is; `goal_index` is -1
     without a goal; `state` is the driver's own word for what it was doing; `owner` says whose the command
-    was: `navigation` or, in a takeover, `teleop`.
+    was: `navigation` or, during a teleop override, `teleop`.
     """
 
     t_ns: Stamps

@@ -10,6 +10,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.settings import Settings
 
 Model = TypeVar("Model", bound=BaseModel)
 # libyaml's, where it is there: the same in a fraction of the time.
@@ -85,21 +86,23 @@ def checked(model: type[Model], data: Any, *, where: str) -> Model:
         key = ".".join(str(part) for part in first["loc"]) or "top level"
         what = KINDS.get(first["type"], first["msg"])
         if first["type"] == "extra_forbidden":
-            what = f"unknown key{_known_beside(model, first['loc'])}"
+            what = _unknown(model, first["loc"])
         elif description := _description(model, first["loc"]):
             what += f" ({description})"
         raise InputError(f"{where}: {key}: {' '.join(what.split())}") from None
 
 
-def _known_beside(model: type[BaseModel], loc: Sequence[int | str]) -> str:
-    """The known keys at the place of an unknown one, as text; empty if there is no plain model."""
+def _unknown(model: type[BaseModel], loc: Sequence[int | str]) -> str:
+    """What to say of an unknown key: its present name, else the known keys where there is a plain model."""
     inner: Any = model
     for part in loc[:-1]:
         field = inner.model_fields.get(part)
         inner = None if field is None else field.annotation
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-            return ""
-    return f" (known: {', '.join(inner.model_fields)})"
+            return "unknown key"
+    if issubclass(inner, Settings) and loc[-1] in inner.RENAMED:
+        return f"is now called {inner.RENAMED[str(loc[-1])]}"
+    return f"unknown key (known: {', '.join(inner.model_fields)})"
 
 
 def _description(model: type[BaseModel], loc: Sequence[int | str]) -> str | None:

@@ -86,7 +86,7 @@ RUN = (
         ),
         MetricSpec("time_s", "time", "s", "Simulated time of the run.", BAG, TRUTH),
         MetricSpec(
-            "takeovers.count",
+            "overrides.count",
             "teleop overrides",
             "count",
             "Times that teleoperation overrode navigation.",
@@ -94,7 +94,7 @@ RUN = (
             seldom=True,
         ),
         MetricSpec(
-            "takeovers.time_s",
+            "overrides.time_s",
             "time under teleop",
             "s",
             "Simulated time during which teleoperation drove the robot.",

@@ -11,7 +11,7 @@ from turtlebag.reports.stages import Group, Stage
 
 TAKE_A_PATH = (
     *("--out", "--config", "--truth", "--relations", "--also", "--continue", "--edits", "--map"),
-    *("--waypoints", "--takeover", "--keepout", "--bag", "--replay"),
+    *("--waypoints", "--teleop-override", "--keepout", "--bag", "--replay"),
 )
 """Options of the commands that leave a stage whose value is a file or folder."""
 FLAGS = ("--force", "--explain", "-q", "--quiet", "-v", "--verbose")

@@ -19,7 +19,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import load_model
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.cli.main import VERBS, build_parser, joined
-from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.pipeline.navigation.teleop_override import load_script
 from turtlebag.pipeline.slam.loop_edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
@@ -127,7 +127,7 @@ READERS = {
     "path.csv": read_path,
     "map-config.yaml": lambda path: load_config(SlamConfig, path, []),
     "waypoints.yaml": load_waypoints,
-    "takeover.yaml": load_script,
+    "teleop_override.yaml": load_script,
     "session.yaml": load_session,
     "edits.yaml": load_edits,
     "intel.relations": load_relations,

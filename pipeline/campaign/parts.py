@@ -1,4 +1,4 @@
-"""The parts of the pipeline that `blame` can replace by the truth, and what each replacement means."""
+"""The parts of the pipeline that `ablate` can replace with ground truth, and what each replacement means."""
 
 PARTS = {
     "odometry": "odometry is the true motion",

@@ -1,7 +1,7 @@
-"""Truth put in the place of one part of the pipeline: for the study of who is to blame, and nothing else.
+"""Ground truth in place of parts of the pipeline: for the ablation study, and nothing else.
 
 This is the one exception to the rule that truth stays out of estimators, planners and controllers. Only
-the command `blame` may import it; a test reads every import of the project to make sure.
+the command `ablate` may import it; a test reads every import of the project to make sure.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ VERBS = {
     "report": "make an HTML report from the outputs of other commands",
     "compare": "compare two outputs of the same command, or ours with another system's",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
-    "blame": "map a recording with chosen parts replaced by ground truth (ablation)",
+    "ablate": "map a recording with chosen parts replaced by ground truth (ablation)",
     "verify": "recompute a report's numbers from the bags",
     "bag": "inspect, play, repair and convert bags",
     "data": "list and fetch public logs",
@@ -44,6 +44,9 @@ VERBS = {
     "doctor": "check the installation",
     "completion": "print a script that completes commands in your shell",
 }
+
+RENAMED = {"blame": "ablate", "--takeover": "--teleop-override"}
+"""Present names of verbs and options by their former ones, for the error that a former one is."""
 
 EXIT_OK, EXIT_INPUT = 0, 2
 
@@ -68,6 +71,9 @@ class _Parser(argparse.ArgumentParser):
         return found, unknown
 
     def _report(self, unknown: list[str]) -> NoReturn:
+        for old in [word.partition("=")[0] for word in unknown]:
+            if RENAMED.get(old) in self._option_string_actions:
+                self.error(f"{old} is now called {RENAMED[old]}")
         near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
         meant = f"; did you mean {near[0]}?" if near else ""
         self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
@@ -124,6 +130,8 @@ def joined(argv: Sequence[str]) -> list[str]:
 def parsed(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of one command; InputError for unknown ones."""
     verb = next((word for word in argv if not word.startswith("-")), None)
+    if verb in RENAMED:
+        raise InputError(f"{verb} is now called {RENAMED[verb]}")
     return build_parser(verb).parse_args(joined(argv))
 
 

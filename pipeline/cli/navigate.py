@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from typing import Literal
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
@@ -68,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mode", choices=("guarded", "tutorial"), help=text)
     flag(parser, "--wiggle", "first turn back and forth until the particles converge")
     text = "teleop override of cmd_vel: by keyboard, or by a YAML list of begin, end, v and w"
-    option(parser, "--takeover", "keyboard|FILE", text)
+    option(parser, "--teleop-override", "keyboard|FILE", text)
     text = "YAML file with keep-out polygons under 'keepout' (default: the world's own)"
     option(parser, "--keepout", "FILE|none", text)
     add_config(parser)
@@ -99,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         timeout_s=args.timeout,
         duration_s=args.duration,
         wiggle=args.wiggle,
-        takeover="keyboard" if args.takeover == "keyboard" else args.takeover and Path(args.takeover),
+        teleop_override=_override(args.teleop_override),
         keepout=_keepout(args.keepout),
         keepout_path=None if args.keepout in (None, "none") else Path(args.keepout),
     )
@@ -127,6 +128,11 @@ def _refuse_unused(args: argparse.Namespace) -> None:
             raise InputError(f"{option}: not for --task {args.task}, only for {takers}; remove it")
         if args.task == "goal" and args.map is None and name in ON_A_MAP:
             raise InputError(f"{option}: needs a map; give --map or remove it")
+
+
+def _override(text: str | None) -> Literal["keyboard"] | Path | None:
+    """The source of teleop overrides."""
+    return "keyboard" if text == "keyboard" else None if text is None else Path(text)
 
 
 def _keepout(text: str | None) -> tuple[Array, ...] | None:

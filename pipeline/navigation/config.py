@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -12,7 +12,7 @@ from turtlebag.pipeline.localisation.localisers import LocaliserName
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.explore_driver import ExploreConfig
 from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
-from turtlebag.pipeline.navigation.takeover import TakeoverConfig
+from turtlebag.pipeline.navigation.teleop_override import TeleopOverrideConfig
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig
@@ -51,6 +51,8 @@ class MaplessConfig(Settings, allow_inf_nan=False):
 class NavigateConfig(Settings, allow_inf_nan=False):
     """The settings of `navigate`, one section per component."""
 
+    RENAMED: ClassVar = {"takeover": "teleop_override"}
+
     sim: SimConfig = SimConfig()
     localiser: LocaliserName = "amcl"
     amcl: AmclConfig = AmclConfig()
@@ -65,4 +67,4 @@ class NavigateConfig(Settings, allow_inf_nan=False):
     explore: ExploreConfig = ExploreConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     avoid: AvoidConfig = AvoidConfig()
-    takeover: TakeoverConfig = TakeoverConfig()
+    teleop_override: TeleopOverrideConfig = TeleopOverrideConfig()

@@ -29,7 +29,7 @@ from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.pipeline.navigation.teleop_override import load_script
 from turtlebag.pipeline.terminal.messages import note_degrees
 from turtlebag.planners.costmap import Costmap, costmap_from_grid
 from turtlebag.planners.tasks.patrol import GoalSequence
@@ -60,7 +60,7 @@ class Request:
     timeout_s: float | None = None
     duration_s: float | None = None
     wiggle: bool = False
-    takeover: Literal["keyboard"] | Path | None = None
+    teleop_override: Literal["keyboard"] | Path | None = None
     """Source of overrides: the keyboard, or a file of intervals instead of the configured ones."""
     keepout: tuple[Array, ...] | None = None
     """Keep-out outlines (n, 2); None for the world's own."""
@@ -90,8 +90,8 @@ def prepare(
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
     config = config.model_copy(update={"sim": config.sim.resolved(robot)})
-    if isinstance(request.takeover, Path):
-        load_script(request.takeover)
+    if isinstance(request.teleop_override, Path):
+        load_script(request.teleop_override)
     if request.laps is not None and request.laps > MAX_LAPS:
         raise InputError(f"--laps {request.laps}: at most {MAX_LAPS}")
     if request.task in ("avoid", "explore"):

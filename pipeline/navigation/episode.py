@@ -18,7 +18,7 @@ from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.status_lines import News
-from turtlebag.pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
+from turtlebag.pipeline.navigation.teleop_override import CommandOwner, Interval, Script, Source, load_script
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.robots import static_transforms
@@ -58,19 +58,19 @@ def drive(
     simulator: Simulator,
     mission: Mission,
     audience: Audience = NOBODY,
-    takeovers: Source | None = None,
+    overrides: Source | None = None,
     make: DriverMaker = make_driver,
 ) -> Episode:
     """Observe, decide, log, act, until the driver is done or the run is interrupted.
 
-    `takeovers` says when someone else has the commands; without it, the script of the configuration does.
+    `overrides` says when someone else has the commands; without it, the script of the configuration does.
     `make` makes the driver.
     """
     bag, say, news, interrupted = audience
     observation = simulator.reset(mission.request.start)
     bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
     driver, localiser, sequence = make(mission, observation, bag, say)
-    owner = _owner(driver, mission, takeovers)
+    owner = _owner(driver, mission, overrides)
     recorder = RunRecorder(simulator, bag)
     while True:
         command = owner.step(observation)
@@ -98,10 +98,10 @@ def _cut_short(stamp_ns: int, interrupted: Sequence[int]) -> str:
     return f"the run ended after {MAX_SIMULATED_S:g} s" if stamp_ns > nanoseconds(MAX_SIMULATED_S) else ""
 
 
-def _owner(driver: Task, mission: Mission, takeovers: Source | None) -> CommandOwner:
-    """The driver, and whoever may take over from it."""
+def _owner(driver: Task, mission: Mission, overrides: Source | None) -> CommandOwner:
+    """The driver, and the source of teleop overrides."""
     config, model = mission.config, mission.robot.model
-    monitor = CollisionMonitor(model) if config.takeover.monitor else None
-    file = mission.request.takeover
-    script = load_script(file) if isinstance(file, Path) else config.takeover.script
-    return CommandOwner(driver, model, takeovers or Script(script), monitor)
+    monitor = CollisionMonitor(model) if config.teleop_override.monitor else None
+    file = mission.request.teleop_override
+    script = load_script(file) if isinstance(file, Path) else config.teleop_override.script
+    return CommandOwner(driver, model, overrides or Script(script), monitor)

@@ -131,8 +131,8 @@ class NavigationDriver(Driver):
         """The command while the robot does not drive to its goal; a goal may be given up meanwhile."""
         now, sequence = observation.stamp_ns, self.sequence
         self.state = state.value
-        if state is State.COMPARE:
-            return self._compare(relocaliser, observation, span_ns)
+        if state is State.DISAMBIGUATE:
+            return self._disambiguate(relocaliser, observation, span_ns)
         if state is State.GIVE_UP and sequence.goal is not None:
             sequence.close("unreachable", LOST, now)
         elif state is not State.WIGGLE:
@@ -146,24 +146,24 @@ class NavigationDriver(Driver):
             self._last = relocaliser.turn_or_roam(observation, self._last, self.sensing)
         return self._last
 
-    def _compare(self, relocaliser: Relocaliser, observation: Observation, span_ns: int) -> Twist:
+    def _disambiguate(self, relocaliser: Relocaliser, observation: Observation, span_ns: int) -> Twist:
         """Drive to decide between the hypotheses while the goal's clock is stopped.
 
         A goal is given up if nothing has decided between them in time.
         """
         now, T_map_odom = observation.stamp_ns, relocaliser.localiser.T_map_odom
-        assert relocaliser.comparison is not None
+        assert relocaliser.disambiguation is not None
         assert T_map_odom is not None
         if self.sequence.goal is not None:
             self.sequence.postpone(span_ns)
         goal = self.sequence.update(now)
         self.goal_index = -1 if goal is None else self.sequence.index
         if observation.scan is not None and self.sensing.sweep is not None:
-            self._see(self.sensing.sweep, T_map_odom, relocaliser.comparison.tools.obstacles)
+            self._see(self.sensing.sweep, T_map_odom, relocaliser.disambiguation.tools.obstacles)
         T_odom_base = observation.odometry.T_odom_base
         stop = self._moving.stops(T_odom_base)
         tick = self._tick(observation, T_map_odom @ T_odom_base, stop=stop)
-        command = relocaliser.compare(tick, observation, self.sensing.sweep)
+        command = relocaliser.disambiguate(tick, observation, self.sensing.sweep)
         if relocaliser.void:
             self._forget()
         if command is not None:
@@ -171,7 +171,7 @@ class NavigationDriver(Driver):
             return command
         if goal is not None:
             self.sequence.close("unreachable", ALIKE, now)
-        relocaliser.comparison.begin_again(now)
+        relocaliser.disambiguation.begin_again(now)
         self._last = self.tools.controller.brake(self._last)
         return self._last
 

@@ -35,7 +35,7 @@ class Relocaliser:
     ) -> None:
         self.machine = machine
         self.localiser = localiser
-        self.comparison: Disambiguation | None = None
+        self.disambiguation: Disambiguation | None = None
         """The drive that decides between pose hypotheses, while there are any."""
         self.void = False
         """Whether plans and obstacles are void because this tick revealed a wrong pose."""
@@ -52,7 +52,7 @@ class Relocaliser:
         if before is State.WIGGLE:
             return before
         self.void = self._jumped(observation.odometry.T_odom_base)
-        driving = before in (State.DRIVE, State.COMPARE, State.PUSHED)
+        driving = before in (State.DRIVE, State.DISAMBIGUATE, State.PUSHED)
         if self.void and driving and localiser.updates > 0:
             self.doubt(now)
         if machine.state is not State.DRIVE or localiser.updates > 0:
@@ -61,11 +61,11 @@ class Relocaliser:
             localiser.amcl.initialise_globally()
         if machine.state in (State.DRIVE, State.PUSHED) and localiser.pushed:
             machine.on(Event.PUSHED, now, localiser.updates)
-        if machine.state not in (State.DRIVE, State.COMPARE, State.PUSHED):
+        if machine.state not in (State.DRIVE, State.DISAMBIGUATE, State.PUSHED):
             self.void |= driving
             self._sureness.doubted = True
-            if self.comparison is not None:
-                self.comparison, self._sureness.searches = None, -1
+            if self.disambiguation is not None:
+                self.disambiguation, self._sureness.searches = None, -1
         elif machine.state is State.DRIVE and examine:
             self._examine(now)
         if machine.state is not before:
@@ -75,7 +75,7 @@ class Relocaliser:
 
     def told(self, state: State) -> None:
         """A pose estimate was set, or global localisation started: earlier doubts are void."""
-        self.machine, self.comparison = RelocalisationStates(self.machine.config, state), None
+        self.machine, self.disambiguation = RelocalisationStates(self.machine.config, state), None
         self._sureness = _Sureness(self.localiser.amcl.searches)
         self.accept()
         self._wiggle = Wiggle()
@@ -91,8 +91,8 @@ class Relocaliser:
 
     def rest(self) -> None:
         """A teleop override has ended."""
-        if self.comparison is not None:
-            self.comparison.rest()
+        if self.disambiguation is not None:
+            self.disambiguation.rest()
 
     def turn_or_roam(self, observation: Observation, last: Twist, sensing: Sensing) -> Twist:
         """The command while lost: without the map, avoiding obstacles by the scans."""
@@ -118,19 +118,19 @@ class Relocaliser:
         wanted = self._avoidance.command(sweep, T_odom_base, last, new_sweep=new)
         return self.tools.controller.ramp(wanted, last)
 
-    def compare(self, tick: Tick, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
+    def disambiguate(self, tick: Tick, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
         """The command of active disambiguation; None if it has taken too long."""
-        assert self.comparison is not None
+        assert self.disambiguation is not None
         if self._sureness.new_update(self.localiser):
-            left = self.comparison.judge(self.localiser)
+            left = self.disambiguation.judge(self.localiser)
             if left is not None:
-                self.comparison, self.void = None, True
+                self.disambiguation, self.void = None, True
                 self.machine.on(Event.DECIDED, tick.now_ns, self.localiser.updates)
                 self._move_to(left)
                 return self.tools.controller.brake(tick.last)
-        if self.comparison.over(tick.now_ns, self.machine.config.tell_apart):
+        if self.disambiguation.over(tick.now_ns, self.machine.config.disambiguate):
             return None
-        command = self.comparison.command(tick)
+        command = self.disambiguation.command(tick)
         if command is None and not tick.stop and sweep is not None:
             return self._roam(observation, tick.last, sweep)
         return self.tools.controller.brake(tick.last) if command is None else command
@@ -154,7 +154,7 @@ class Relocaliser:
         if self._sureness.doubtful(localiser, T_map_odom, keyframes[-1].T_odom_base):
             found = self._aliasing.find(keyframes, T_map_odom)
             if len(found) > 1:
-                self.comparison = Disambiguation(self._aliasing, found, self.tools, now_ns)
+                self.disambiguation = Disambiguation(self._aliasing, found, self.tools, now_ns)
                 self._sureness.new_update(localiser)
                 self.machine.on(Event.ALIKE, now_ns, localiser.updates)
             else:

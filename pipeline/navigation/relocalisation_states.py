@@ -6,6 +6,7 @@ Pure bookkeeping of the localiser's status; it never sees a pose.
 from __future__ import annotations
 
 from enum import Enum, StrEnum, auto
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -27,7 +28,7 @@ class State(StrEnum):
     """Driving around reactively, avoiding obstacles."""
     RESTART = "restart"
     """Restarting global localisation, for one tick."""
-    COMPARE = "tell_apart"
+    DISAMBIGUATE = "disambiguate"
     """Driving to where the scans expected under the pose hypotheses differ."""
     GIVE_UP = "give_up"
     """Giving up the goal, for one tick."""
@@ -52,13 +53,13 @@ TRANSITIONS = {
     (State.WIGGLE, Event.FOUND): State.DRIVE,
     (State.WIGGLE, Event.DOUBTED): State.LOOK,
     (State.DRIVE, Event.DOUBTED): State.LOOK,
-    (State.DRIVE, Event.ALIKE): State.COMPARE,
+    (State.DRIVE, Event.ALIKE): State.DISAMBIGUATE,
     (State.DRIVE, Event.PUSHED): State.PUSHED,
     (State.PUSHED, Event.PUSHED): State.PUSHED,
     (State.PUSHED, Event.TIME_OVER): State.DRIVE,
     (State.PUSHED, Event.DOUBTED): State.LOOK,
-    (State.COMPARE, Event.DECIDED): State.DRIVE,
-    (State.COMPARE, Event.DOUBTED): State.LOOK,
+    (State.DISAMBIGUATE, Event.DECIDED): State.DRIVE,
+    (State.DISAMBIGUATE, Event.DOUBTED): State.LOOK,
     (State.LOOK, Event.FOUND): State.DRIVE,
     (State.LOOK, Event.TIME_OVER): State.ROAM,
     (State.ROAM, Event.FOUND): State.DRIVE,
@@ -80,6 +81,8 @@ PUSHED_S = 2.0
 class RelocaliseConfig(Settings, allow_inf_nan=False):
     """Time limits in seconds, and the number of restarts."""
 
+    RENAMED: ClassVar = {"tell_apart": "disambiguate"}
+
     look: Seconds = Field(default=5.0, gt=0.0)
     """Time to turn back and forth; if the cloud is narrow then, it is trusted."""
     roam: Seconds = Field(default=45.0, gt=0.0)
@@ -88,7 +91,7 @@ class RelocaliseConfig(Settings, allow_inf_nan=False):
     """Restarts of global localisation after that, before the goal is given up.
 
     Also the number of times it looks around at a goal that only seems to be reached."""
-    tell_apart: Seconds = 120.0
+    disambiguate: Seconds = 120.0
     """Time for active disambiguation between pose hypotheses; then the goal is given up."""
 
 

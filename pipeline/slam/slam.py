@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache as once
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,8 @@ Sensors = Annotated[
 
 class SlamConfig(Settings):
     """Everything that shapes a map."""
+
+    RENAMED: ClassVar = {"recall": "place_recognition", "posing": "reregistration"}
 
     sensors: Sensors = "both"
     front_end: FrontEndName = Field(
@@ -144,7 +146,7 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
 
 @dataclass(frozen=True)
 class Steps:
-    """The steps that `turtlebag blame` replaces with ground truth; `front_end` None: by the settings."""
+    """The steps that `turtlebag ablate` replaces with ground truth; `front_end` None: by the settings."""
 
     front_end: Maker | None = None
     close_graph: Callable[..., Closed] = close_graph

@@ -18,7 +18,7 @@ from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, Mission, Request, prepare
 from turtlebag.pipeline.navigation.episode import Audience, drive
 from turtlebag.pipeline.navigation.status_lines import News, verdict
-from turtlebag.pipeline.navigation.takeover import Source, script_text
+from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import deferred_interrupt, save_truth
 from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
 from turtlebag.planners.costmap import polygon_mask
@@ -40,7 +40,7 @@ def navigate(
     """Run a task and write the run outputs to `out`; 0 when it truly succeeded, 1 when it did not.
 
     What counts is the truth, `true_success` of the metrics: a robot that believes that it has reached its
-    goal and stands elsewhere has failed. Interrupted at the keyboard of a takeover, 130 or 143: what was
+    goal and stands elsewhere has failed. Interrupted at the keyboard of an override, 130 or 143: what was
     driven until then cannot be driven again, and is kept.
 
     `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
@@ -55,7 +55,7 @@ def navigate(
         "world": world.name,
         "task": request.task,
     }
-    by_hand = request.takeover == "keyboard"
+    by_hand = request.teleop_override == "keyboard"
     at_once: nullcontext[list[int]] = nullcontext([])
     with (
         deferred_interrupt() if by_hand else at_once as interrupted,
@@ -64,18 +64,18 @@ def navigate(
     ):
         with (
             BagWriter(folder / "bag", custom=custom) as bag,
-            _takeovers(mission) as takeovers,
+            _overrides(mission) as overrides,
             simulated_time(_length_s(mission)) as clock,
         ):
             news = News(_opening(world, mission), log.info, clock)
-            episode = drive(simulator, mission, Audience(bag, say, news, interrupted), takeovers)
+            episode = drive(simulator, mission, Audience(bag, say, news, interrupted), overrides)
         metrics, loop_s, parts = episode.metrics, out.wall_s, _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")
         if episode.grid is not None:
             save_map(episode.grid, folder)
         if episode.asked:
-            (folder / "takeover.yaml").write_text(script_text(episode.asked))
+            (folder / "teleop_override.yaml").write_text(script_text(episode.asked))
         save_truth(folder / "truth", episode.truth, simulator.world, simulator.robot)
         out.finish(
             folder,
@@ -134,22 +134,24 @@ def _length_s(mission: Mission) -> float | None:
 
 
 @contextmanager
-def _takeovers(mission: Mission) -> Iterator[Source | None]:
-    """The keyboard, if it may take over; the terminal is as before afterwards."""
-    if mission.request.takeover != "keyboard":
+def _overrides(mission: Mission) -> Iterator[Source | None]:
+    """The keyboard, if it may override; the terminal is as before afterwards."""
+    if mission.request.teleop_override != "keyboard":
         yield None
         return
-    from turtlebag.pipeline.terminal.keyboard_teleop import TakeoverKeys, clock, keys_of, show
+    from turtlebag.pipeline.terminal.keyboard_teleop import OverrideKeys, clock, keys_of, show
 
-    show(TakeoverKeys.TABLE + "\n")
+    show(OverrideKeys.TABLE + "\n")
     with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
-        yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), redraw)
+        yield OverrideKeys(
+            mission.robot.limits, read_keys, clock(mission.config.teleop_override.speed), redraw
+        )
 
 
 def _inputs(request: Request) -> dict[str, Path]:
     inputs = {} if request.map_path is None else map_files(request.map_path)
-    if isinstance(request.takeover, Path):
-        inputs["takeover"] = request.takeover
+    if isinstance(request.teleop_override, Path):
+        inputs["teleop_override"] = request.teleop_override
     if request.waypoints_path is not None:
         inputs["waypoints"] = request.waypoints_path
     if request.keepout_path is not None:

@@ -12,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.navigation.takeover import Script
+from turtlebag.pipeline.navigation.teleop_override import Script
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.record import deferred_interrupt
 from turtlebag.pipeline.studio.base_session import BaseSession

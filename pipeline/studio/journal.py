@@ -1,6 +1,6 @@
 """`session.yaml`: the options of a session, and one line per input with its time.
 
-It extends the format of `takeover.yaml`: teleop commands are intervals, everything else has a
+It extends the format of `teleop_override.yaml`: teleop commands are intervals, everything else has a
 time `at`. Whole lines are appended, never changed, so the file can be read at any moment.
 """
 
@@ -19,7 +19,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
-from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig
+from turtlebag.pipeline.navigation.teleop_override import Interval, TeleopOverrideConfig
 from turtlebag.pipeline.studio.inputs import DRIVING, Input, parse_input
 from turtlebag.sim.simulator import SimConfig
 
@@ -89,7 +89,7 @@ def load_session(path: Path) -> Recorded:
         until_ns = max(until_ns, at_ns)
         if action is not None:
             actions.append((at_ns, action))
-    script = checked(TakeoverConfig, {"script": intervals}, where=str(path)).script
+    script = checked(TeleopOverrideConfig, {"script": intervals}, where=str(path)).script
     return Recorded(header, tuple(actions), script, until_ns)
 
 

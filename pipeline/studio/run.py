@@ -14,7 +14,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.drivers import Kit
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.status_lines import News, verdict
-from turtlebag.pipeline.navigation.takeover import CommandOwner
+from turtlebag.pipeline.navigation.teleop_override import CommandOwner
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.pilot import Pilot, Task, WiggleDriver
 from turtlebag.pipeline.studio.publisher import Publisher

@@ -108,8 +108,8 @@ def keyboard_driver(
         yield Twist()
 
 
-class TakeoverKeys:
-    """Takeovers by keyboard (see turtlebag.pipeline.navigation.takeover): any driving key begins one."""
+class OverrideKeys:
+    """Teleop overrides by keyboard (see `navigation.teleop_override`): any driving key begins one."""
 
     TABLE = TABLES["keys"].replace("end the recording", "hand back") + "\n  (any of them but Q takes over)"
 

@@ -70,8 +70,8 @@ class Collisions(TypedDict):
     low: int
 
 
-class Takeovers(TypedDict):
-    """How often someone took over from navigation, and how long they had the robot."""
+class Overrides(TypedDict):
+    """Teleop overrides: their number and total duration."""
 
     count: int
     time_s: float
@@ -94,7 +94,7 @@ class RunMetrics(TypedDict):
     goal_error_m: GoalErrors | None
     collisions: Collisions
     min_clearance_m: float | None
-    takeovers: Takeovers
+    overrides: Overrides
     distance_m: float
     time_s: float
     localisation_error_m: Extremes | None
@@ -132,7 +132,7 @@ def run_metrics(
             "low": len(collision_episodes(log.t_ns, log.contact_low)),
         },
         "min_clearance_m": min_clearance(log.clearance_m),
-        "takeovers": takeovers(log.t_ns, log.owner),
+        "overrides": overrides(log.t_ns, log.owner),
         "distance_m": distance_driven(Trajectory(log.t_ns, log.T_world_base)),
         "time_s": round(float(log.t_ns[-1] - log.t_ns[0]) * 1e-9, 6),
         "localisation_error_m": ate(estimate, truth, align=False) if estimate else None,
@@ -243,7 +243,7 @@ def collision_episodes(stamps_ns: Stamps, contact: NDArray[np.bool_]) -> list[tu
     return [(int(first), int(last)) for first, last in zip(firsts, lasts, strict=True)]
 
 
-def takeovers(stamps_ns: Stamps, owner: Sequence[str]) -> Takeovers:
+def overrides(stamps_ns: Stamps, owner: Sequence[str]) -> Overrides:
     """The times that someone had the robot in place of navigation."""
     taken = np.array([name != OWNER for name in owner], dtype=bool)
     begins = taken & ~np.concatenate([[False], taken[:-1]])

@@ -198,7 +198,10 @@ WRONG = {
     "no map to be on": (lambda c: tb.localise(c / "record", 3), "^map: expected a path, not a int"),
     "no map to plan on": (lambda c: tb.Planner(3), "^map: expected a path, not a int"),
     "no map to drive by": (lambda c: tb.navigate(3, task=tb.Patrol()), "^map: expected a path, not a int"),
-    "no takeover": (lambda c: tb.navigate(c / "map", task=tb.Patrol(), takeover=3), "^takeover: expected"),
+    "no override": (
+        lambda c: tb.navigate(c / "map", task=tb.Patrol(), teleop_override=3),
+        "^teleop_override: expected",
+    ),
     "a world of no kind": (lambda c: tb.Simulator(3), "^world: expected a name or a path, not a int"),
     "a robot without a name": (lambda c: tb.Mapper(3), "^robot: expected a name or a path, not a int"),
     "nothing of ours": (lambda c: tb.report(None), "^output 1: expected a path, not None"),
@@ -250,9 +253,9 @@ def test_what_is_wrong_is_said_in_a_line_in_the_words_of_python(name, chain):
     assert "--" not in str(error.value).replace("my--map", "")
 
 
-def test_a_takeover_is_a_file_whatever_it_is_called():
+def test_an_override_is_a_file_whatever_it_is_called():
     with pytest.raises(InputError, match="keyboard: no such file"):
-        tb.navigate(world="empty", task=tb.Avoid(duration=1.0), takeover="keyboard")
+        tb.navigate(world="empty", task=tb.Avoid(duration=1.0), teleop_override="keyboard")
 
 
 def test_a_laser_is_told_as_the_command_line_reads_it():

@@ -7,6 +7,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
 
 
@@ -32,7 +33,7 @@ class Outer(BaseModel):
                 "sequence.pause",
                 "relocalise.look",
                 "relocalise.roam",
-                "relocalise.tell_apart",
+                "relocalise.disambiguate",
                 "recovery.stuck_time",
                 "goal_checker.hold",
                 "amcl.likelihood_max_dist",
@@ -115,6 +116,40 @@ def test_a_value_of_the_wrong_make_is_told_what_the_key_holds(setting, message):
 def test_a_section_is_told_to_be_keys_and_values():
     with pytest.raises(InputError, match=r"^--set: relocalise: expected keys and values$"):
         load_config(NavigateConfig, settings=["relocalise=3"])
+
+
+@pytest.mark.parametrize(
+    ("model", "old", "new"),
+    [
+        (NavigateConfig, "takeover.monitor=false", "takeover: is now called teleop_override"),
+        (NavigateConfig, "relocalise.tell_apart=9", "relocalise.tell_apart: is now called disambiguate"),
+        (SlamConfig, "recall.enabled=false", "recall: is now called place_recognition"),
+        (SlamConfig, "posing.enabled=false", "posing: is now called reregistration"),
+    ],
+)
+def test_a_former_key_names_the_present_one(model, old, new):
+    with pytest.raises(InputError) as caught:
+        load_config(model, settings=[old])
+    assert str(caught.value) == f"--set: {new}"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("blame data/records/world", "blame is now called ablate"),
+        (
+            "navigate --world empty --task avoid --takeover keyboard",
+            "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)",
+        ),
+        (
+            "navigate --world empty --task avoid --takeover=mine.yaml",
+            "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)",
+        ),
+    ],
+)
+def test_a_former_command_or_option_names_the_present_one(tmp_path, capsys, words, said):
+    assert main([*words.split(), "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err == f"turtlebag: {said}\n"
 
 
 def test_resolved_configuration_reads_back(tmp_path):

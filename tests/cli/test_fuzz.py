@@ -22,7 +22,7 @@ from turtlebag.planners.tasks.waypoints import parse_waypoints
 from turtlebag.reports.g2o import read_loops
 from turtlebag.sim.worlds import load_world
 
-TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "blame": 6}
+TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "ablate": 6}
 """Variants of a case; the slower ones are fewer."""
 
 
@@ -46,7 +46,7 @@ def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
         "relations",
         "truth",
         "sweep",
-        "takeover",
+        "teleop override",
         "keepout",
         "session to drive again",
     ],

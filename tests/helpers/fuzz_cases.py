@@ -298,7 +298,7 @@ def _session(rng, chain, scratch):
     return ["map", "-q", chain / "record", f"--laser={','.join(rng.choices(POSES, k=3))}"]
 
 
-def _blame(rng, chain, scratch):
+def _ablate(rng, chain, scratch):
     _copy(chain, scratch, "record")
     files = ["bag/bag_0.mcap", "truth/trajectory.tum", "truth/map.yaml", "config.yaml", "manifest.json"]
     if rng.random() < 0.8:
@@ -306,7 +306,7 @@ def _blame(rng, chain, scratch):
     parts = rng.choice(
         ["none", "odometry,deskew", "front_end", "loops", "poses", "localisation", "luck", ",", ""]
     )
-    return ["blame", "-q", scratch / "record", "--replace", parts]
+    return ["ablate", "-q", scratch / "record", "--replace", parts]
 
 
 def _stage_folder(rng, chain, scratch):
@@ -375,8 +375,10 @@ CASES = {
     "plan": _plan,
     "clutter": _clutter,
     "sessions and laser": _session,
-    "blame": _blame,
-    "takeover": lambda *a: _navigate(a[1], "avoid", f"--takeover={_file(*a, 'taken.yaml')}", "--duration=2"),
+    "ablate": _ablate,
+    "teleop override": lambda *a: _navigate(
+        a[1], "avoid", f"--teleop-override={_file(*a, 'taken.yaml')}", "--duration=2"
+    ),
     "keepout": lambda *a: _navigate(a[1], "goal", "--goal=0.3,0.1,0", keepout=_file(*a, "kept.yaml")),
     "session to drive again": _driven_again,
     "sweep": lambda *a: ["sweep", "-q", _file(*a, "sweep.yaml"), "--workers", "1"],

@@ -74,7 +74,7 @@ def world(*, cupboard=True):
         shapes.box(f"part_{k}", (0.5 * (a + c), 0.5 * (b + d)), (c - a, d - b), 0.0, (0.0, 0.5))
         for k, (a, b, c, d) in enumerate(parts)
     )
-    return World("twins", "burger", SE2.from_xyt(5.0, 2.4, 0.3), solids, (-0.5, 12.5, -0.5, 4.5), (), {})
+    return World("aliased", "burger", SE2.from_xyt(5.0, 2.4, 0.3), solids, (-0.5, 12.5, -0.5, 4.5), (), {})
 
 
 def aliasing_of(grid):
@@ -234,7 +234,7 @@ def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
     assert nearest_difference(alike, both, costmap, 0.2, start, []) is None
 
 
-def test_where_its_way_is_barred_a_comparison_roams_half_a_metre_and_then_goes_elsewhere(monkeypatch):
+def test_where_its_way_is_barred_a_disambiguation_roams_half_a_metre_and_then_goes_elsewhere(monkeypatch):
     tried = []
 
     def set_out(self, pose):
@@ -243,9 +243,9 @@ def test_where_its_way_is_barred_a_comparison_roams_half_a_metre_and_then_goes_e
         return SimpleNamespace(step=step, recovering=len(tried) == 1, goal=SE2.from_xyt(3.0, 0.0, 0.0))
 
     monkeypatch.setattr(Disambiguation, "_set_out", set_out)
-    comparison = object.__new__(Disambiguation)
-    comparison.begin_again(0)
-    at = lambda x: comparison.command(SimpleNamespace(pose=SE2.from_xyt(x, 0.0, 0.0)))  # noqa: E731
+    disambiguation = object.__new__(Disambiguation)
+    disambiguation.begin_again(0)
+    at = lambda x: disambiguation.command(SimpleNamespace(pose=SE2.from_xyt(x, 0.0, 0.0)))  # noqa: E731
     assert [at(0.0), at(0.1), at(0.49)] == [None, None, None]
     assert len(tried) == 1
     assert [at(0.51), at(0.52)] == [Twist(0.1, 0.0), Twist(0.1, 0.0)]
@@ -276,7 +276,7 @@ def run(place, tmp_path, config, seed=2, **request):
 def test_a_robot_that_wakes_up_in_one_of_two_places_finds_out_which_and_arrives(tmp_path, half):
     start, goal = half @ SE2.from_xyt(5.0, 2.4, 0.3), half @ SE2.from_xyt(4.8, 3.0, 0.0)
     episode = run(world(), tmp_path, NavigateConfig(), initial_pose="global", start=start, goal=goal)
-    assert "tell_apart" in episode.log.state
+    assert "disambiguate" in episode.log.state
     (outcome,) = episode.metrics["goals"]
     assert outcome["status"] == "reached"
     assert outcome["error_m"] < 0.05
@@ -285,7 +285,7 @@ def test_a_robot_that_wakes_up_in_one_of_two_places_finds_out_which_and_arrives(
 
 @pytest.mark.slow
 def test_where_nothing_tells_them_apart_it_roams_no_goal_counts_and_the_reason_is_said(tmp_path):
-    config = NavigateConfig(relocalise=RelocaliseConfig(tell_apart=20.0))
+    config = NavigateConfig(relocalise=RelocaliseConfig(disambiguate=20.0))
     goal = SE2.from_xyt(4.8, 3.0, 0.0)
     episode = run(world(cupboard=False), tmp_path, config, initial_pose="global", goal=goal)
     (outcome,) = episode.metrics["goals"]
@@ -297,7 +297,7 @@ def test_where_nothing_tells_them_apart_it_roams_no_goal_counts_and_the_reason_i
 
 
 @pytest.mark.slow
-def test_the_way_to_a_goal_begins_where_a_comparison_has_moved_the_estimate(tmp_path, monkeypatch):
+def test_the_way_to_a_goal_begins_where_a_disambiguation_has_moved_the_estimate(tmp_path, monkeypatch):
     starts, moved = [], []
 
     def planned(costmap, model, start, *rest):
@@ -319,13 +319,13 @@ def test_the_way_to_a_goal_begins_where_a_comparison_has_moved_the_estimate(tmp_
 
 
 @pytest.mark.slow
-def test_telling_apart_is_bounded_in_time(tmp_path):
-    config = NavigateConfig(relocalise=RelocaliseConfig(tell_apart=2.0))
+def test_disambiguation_is_bounded_in_time(tmp_path):
+    config = NavigateConfig(relocalise=RelocaliseConfig(disambiguate=2.0))
     goal = SE2.from_xyt(4.8, 3.0, 0.0)
     episode = run(world(), tmp_path, config, initial_pose="global", goal=goal)
     (outcome,) = episode.metrics["goals"]
     assert (outcome["status"], outcome["reason"]) == ("unreachable", REASON)
-    states = np.array(episode.log.state) == "tell_apart"
+    states = np.array(episode.log.state) == "disambiguate"
     assert states.sum() / 30.0 < 2.5
 
 

@@ -114,7 +114,7 @@ def test_the_manifest_of_a_run_names_every_file_that_went_in_and_a_yaw_in_degree
     contents = {
         "keepout.yaml": "keepout: [[[0, 0], [0.5, 0], [0.5, 0.02]]]",
         "points.yaml": "waypoints: [[-1.5, 0.5, 90]]",
-        "takeover.yaml": "[]",
+        "teleop_override.yaml": "[]",
         "config.yaml": "{}",
         "world.yaml": (FOLDER / "turtlebot3_world.yaml").read_text(),
         "robot.yaml": (ROBOTS / "burger.yaml").read_text(),
@@ -123,11 +123,21 @@ def test_the_manifest_of_a_run_names_every_file_that_went_in_and_a_yaw_in_degree
         (tmp_path / name).write_text(text)
     words = f"navigate --world {tmp_path}/world.yaml+clutter:3 --robot {tmp_path}/robot.yaml --task patrol"
     words += f" --map {true_map} --waypoints {tmp_path}/points.yaml --keepout {tmp_path}/keepout.yaml"
-    words += f" --takeover {tmp_path}/takeover.yaml --config {tmp_path}/config.yaml --out {tmp_path}/run"
+    words += f" --teleop-override {tmp_path}/teleop_override.yaml"
+    words += f" --config {tmp_path}/config.yaml --out {tmp_path}/run"
     assert main(words.split()) == 1  # nobody told it where it is: refused as soon as it looks
     assert capfd.readouterr().err.startswith("note: waypoint 1: yaw 90 rad: is it in degrees?\n")
     inputs = json.loads((tmp_path / "run" / "manifest.json").read_text())["inputs"]
-    assert set(inputs) == {"map", "map_image", "world", "robot", "waypoints", "keepout", "takeover", "config"}
+    assert set(inputs) == {
+        "map",
+        "map_image",
+        "world",
+        "robot",
+        "waypoints",
+        "keepout",
+        "teleop_override",
+        "config",
+    }
     for name, text in contents.items():
         kind = "waypoints" if name == "points.yaml" else name.removesuffix(".yaml")
         assert inputs[kind]["sha256"] == {name: sha256_text(text)}

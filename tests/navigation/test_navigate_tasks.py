@@ -48,7 +48,7 @@ WITH_EVERY_TASK = {
     "task",
     "seed",
     "start",
-    "takeover",
+    "teleop_override",
     "config",
     "settings",
     "out",

@@ -227,8 +227,8 @@ def test_doubts_in_a_row_are_counted_while_hypotheses_are_compared():
     machine = RelocalisationStates(RelocaliseConfig())
     assert machine.update(1 * S, False, True, 1) == "drive"
     machine.on(Event.ALIKE, 1 * S, 1)
-    assert machine.update(2 * S, True, True, 2) == "tell_apart"
-    assert machine.update(3 * S, False, True, 3) == "tell_apart"
+    assert machine.update(2 * S, True, True, 2) == "disambiguate"
+    assert machine.update(3 * S, False, True, 3) == "disambiguate"
     machine.on(Event.DECIDED, 3 * S, 3)
     assert machine.update(4 * S, False, True, 4) == "look"
 

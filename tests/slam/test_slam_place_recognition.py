@@ -51,7 +51,7 @@ def identical_rooms(seed: int, rooms: int = 8, there_and_back: bool = False) -> 
     if there_and_back:
         route.append((2.0, 7.0))
     return make_log(
-        f"twins-{seed}", plan, np.array(route), Sensor(sick(180, 8.0), 0.4), drive=Drive(v=0.7),
+        f"alike-{seed}", plan, np.array(route), Sensor(sick(180, 8.0), 0.4), drive=Drive(v=0.7),
         wheels=WHEELS[seed], seed=seed,
     )  # fmt: skip
 

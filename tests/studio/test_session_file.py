@@ -14,7 +14,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.pipeline.navigation.teleop_override import load_script
 from turtlebag.pipeline.stages.studio import replay
 from turtlebag.pipeline.studio.inputs import At, Plain
 from turtlebag.pipeline.studio.journal import Header, Journal, load_session
@@ -61,7 +61,7 @@ def test_driving_is_written_as_intervals_of_a_second_at_most(tmp_path):
         {"begin": 2.0, "end": 2.5, "v": 0.1, "w": 0.0},
         {"begin": 2.5, "end": 2.666666667, "v": 0.0, "w": 0.5},
     ]
-    script = tmp_path / "takeover.yaml"
+    script = tmp_path / "teleop_override.yaml"
     script.write_text(yaml.safe_dump(entries))
     assert load_script(script)[-1].end == 2.666666667
 

@@ -238,7 +238,7 @@ def navigate(
     start: Pose | None = None,
     initial_pose: Pose | Literal["start", "global"] | None = "start",
     wiggle: bool = False,
-    takeover: PathLike | None = None,
+    teleop_override: PathLike | None = None,
     keepout: PathLike | Sequence[Any] | None = None,
     config: PathLike | None = None,
     settings: Settings | None = None,
@@ -250,13 +250,13 @@ def navigate(
     A patrol and a goal use `map`; without one, a goal uses odometry. `world` and `robot` are names or files
     (default: those of the recording that the map was made from). `start` is the true pose in the world,
     `initial_pose` the pose that the localiser starts from: "start" for the true one, "global" to search the
-    whole map, None for none. `wiggle` turns the robot back and forth first. `takeover` is a file of teleop
-    intervals. `keepout` are keep-out areas: a file, outlines (n, 2) [m], or [] for none (default: the
-    world's). A failed task is a result, too: see `success` and `goals`. InputError for a bad goal, map or
-    name.
+    whole map, None for none. `wiggle` turns the robot back and forth first. `teleop_override` is a file
+    of teleop intervals. `keepout` are keep-out areas: a file, outlines (n, 2) [m], or [] for none (default:
+    the world's). A failed task is a result, too: see `success` and `goals`. InputError for a bad goal, map
+    or name.
     """
     words, name = setting_words(settings), part_name(task)
-    inputs = {"map": map, "takeover": takeover, "config": config}
+    inputs = {"map": map, "teleop_override": teleop_override, "config": config}
     with step("navigate", out, force=force, inputs=inputs) as now:
         on, files = None if map is None else as_map(map), TemporaryFolder()
         now.kept.append(files)
@@ -280,7 +280,7 @@ def navigate(
             **told,
             wiggle=wiggle,
             # the command line's word for the keys of the terminal is a file's name here, as any other
-            takeover="./keyboard" if takeover == "keyboard" else takeover,
+            teleop_override="./keyboard" if teleop_override == "keyboard" else teleop_override,
             keepout=keepout_option(keepout, files.path),
             config=config,
             set=words,

@@ -42,7 +42,7 @@ class Interval(Settings, allow_inf_nan=False):
         return self
 
 
-class TakeoverConfig(Settings, allow_inf_nan=False):
+class TeleopOverrideConfig(Settings, allow_inf_nan=False):
     """Teleop override."""
 
     monitor: bool = True
@@ -53,7 +53,7 @@ class TakeoverConfig(Settings, allow_inf_nan=False):
     """Overrides by script; intervals without a gap between them count as one."""
 
     @model_validator(mode="after")
-    def _in_order(self) -> TakeoverConfig:
+    def _in_order(self) -> TeleopOverrideConfig:
         for one, other in zip(self.script, self.script[1:], strict=False):
             if other.begin < one.end:
                 raise ValueError(f"intervals overlap or are out of order at {other.begin:g} s")
@@ -82,16 +82,16 @@ class Script:
 
 
 def load_script(path: Path) -> tuple[Interval, ...]:
-    """The intervals of a takeover file (a YAML list of them); InputError names what is wrong."""
-    where = f"--takeover {path}"
+    """The intervals of a file of overrides (a YAML list of them); InputError names what is wrong."""
+    where = f"--teleop-override {path}"
     data = read_yaml(path, where=where)
     if not isinstance(data, list):
         raise InputError(f"{where}: expected a list of intervals with begin, end, v and w")
-    return checked(TakeoverConfig, {"script": data}, where=where).script
+    return checked(TeleopOverrideConfig, {"script": data}, where=where).script
 
 
 def script_text(script: Sequence[Interval]) -> str:
-    """Intervals as a takeover file."""
+    """Intervals as the file of them."""
     return yaml.safe_dump([interval.model_dump() for interval in script], sort_keys=False)
 
 

@@ -44,12 +44,12 @@ def test_only_the_study_may_import_the_truth():
                     names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
                 if "turtlebag.pipeline.campaign.truth_for_parts" in names:
                     users.add(path.relative_to(ROOT).as_posix())
-    assert users == {"pipeline/campaign/blame.py"}
+    assert users == {"pipeline/campaign/ablation.py"}
 
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory):
-    return fake_record(tmp_path_factory.mktemp("blame") / "record")
+    return fake_record(tmp_path_factory.mktemp("ablation") / "record")
 
 
 def test_each_part_is_replaced_alone(record):
@@ -71,9 +71,9 @@ def test_true_poses_are_taken_as_they_are():
 
 def test_what_cannot_be_replaced_is_refused(record, tmp_path, capsys):
     out = ["--out", str(tmp_path / "out")]
-    assert main(["blame", str(record), "--replace", "luck", *out]) == 2
+    assert main(["ablate", str(record), "--replace", "luck", *out]) == 2
     assert "known are none, odometry, deskew, front_end" in capsys.readouterr().err
-    assert main(["blame", str(tmp_path), *out]) == 2
+    assert main(["ablate", str(tmp_path), *out]) == 2
     stage = load_stage(record)
     (record / "truth/trajectory.tum").write_text("0 0 0 0 0 0 0 1\n")
     with pytest.raises(InputError, match="one pose for each scan"):

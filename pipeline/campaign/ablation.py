@@ -1,4 +1,4 @@
-"""The stage `blame`: map a recording, and drive on the map, with parts replaced by the truth."""
+"""The stage `ablate`: map a recording, and drive on the map, with parts replaced by ground truth."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from turtlebag.sim.simulator import SimConfig
 from turtlebag.sim.worlds import load_world
 
 
-def blame(
+def ablate(
     folder_of_record: Path,
     out: Output,
     *,
@@ -45,7 +45,7 @@ def blame(
             raise InputError(f"--replace {part}: known are none, {', '.join(PARTS)}")
     record = load_stage(folder_of_record)
     if record.kind != "record" or record.truth is None or record.true_map is None:
-        raise InputError(f"{folder_of_record}: blame needs the output of record, with its truth")
+        raise InputError(f"{folder_of_record}: has no ground truth; give the output of record")
     resolved = with_sensors(load_config(SlamConfig, config, settings), parts)
     recording, steps = with_truth(record, parts), true_steps(record.truth.poses, parts)
     result = run_slam(recording, resolved, track, steps=steps)
@@ -57,7 +57,7 @@ def blame(
         if patrol:
             left["patrol"] = _patrol(record, folder / "map.yaml", parts)
         inputs, config_yaml = {"source": folder_of_record}, config_text(resolved)
-        out.finish(folder, "blame", inputs, metrics=left, config=config_yaml, seed=record.manifest.seed)
+        out.finish(folder, "ablate", inputs, metrics=left, config=config_yaml, seed=record.manifest.seed)
     return 0
 
 

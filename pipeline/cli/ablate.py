@@ -1,4 +1,4 @@
-"""turtlebag blame: map a recording, and drive on the map, with parts replaced by ground truth."""
+"""turtlebag ablate: map a recording, and drive on the map, with parts replaced by ground truth."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from turtlebag.pipeline.campaign.parts import PARTS
 from turtlebag.pipeline.cli.arguments import add_config, add_output, flag, option, output
 
-EXAMPLE = "turtlebag blame data/records/world --replace odometry --out data/blame"
+EXAMPLE = "turtlebag ablate data/records/world --replace odometry --out data/ablation"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `turtlebag blame`."""
+    """Arguments of `turtlebag ablate`."""
     option(parser, "record", "DIR", "output of record", Path)
     text = f"what to replace with ground truth: none, or a comma-separated list of {', '.join(PARTS)}"
     option(parser, "--replace", "PARTS", text, default="none")
@@ -23,9 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the map outputs with the remaining errors."""
-    from turtlebag.pipeline.campaign.blame import blame
+    from turtlebag.pipeline.campaign.ablation import ablate
 
-    return blame(
+    return ablate(
         args.record,
         output(args),
         replace=args.replace,

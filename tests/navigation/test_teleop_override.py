@@ -1,4 +1,4 @@
-"""Takeovers: one owner a tick, the log and the bag say which, and navigation goes on afterwards."""
+"""Teleop overrides: one owner a tick, the log and the bag say which, and navigation goes on afterwards."""
 
 import itertools
 import json
@@ -18,12 +18,12 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver_setup import Request
-from turtlebag.pipeline.navigation.takeover import Interval, Script, TakeoverConfig, load_script
+from turtlebag.pipeline.navigation.teleop_override import Interval, Script, TeleopOverrideConfig, load_script
 from turtlebag.pipeline.stages.navigate import navigate
-from turtlebag.pipeline.terminal.keyboard_teleop import TakeoverKeys
+from turtlebag.pipeline.terminal.keyboard_teleop import OverrideKeys
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
-from turtlebag.reports.metrics.navigation import takeovers
+from turtlebag.reports.metrics.navigation import overrides
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
@@ -40,9 +40,9 @@ def goal_run(out: Path, true_map: Path, script=(), source=None) -> dict:
         map_path=true_map,
         initial_pose="start",
         goal=SE2.from_xyt(-0.6, -1.6, 1.2),
-        takeover=source,
+        teleop_override=source,
     )
-    config = NavigateConfig(takeover=TakeoverConfig(script=script))
+    config = NavigateConfig(teleop_override=TeleopOverrideConfig(script=script))
     assert navigate(ARENA, BURGER, request, Output(out), config=config, say=lambda line: None) == 0
     return json.loads((out / "metrics.json").read_text())
 
@@ -60,10 +60,10 @@ def owners_in(bag: Path) -> list[tuple[int, str]]:
 
 
 @pytest.mark.slow
-def test_the_goal_is_reached_after_a_takeover_and_metrics_count_it(taken):
+def test_the_goal_is_reached_after_an_override_and_metrics_count_it(taken):
     _, metrics = taken
     assert metrics["goals"][0]["status"] == "reached"
-    assert metrics["takeovers"] == {"count": 1, "time_s": pytest.approx(2.5)}
+    assert metrics["overrides"] == {"count": 1, "time_s": pytest.approx(2.5)}
     assert metrics["collisions"] == {"visible": 0, "low": 0}
 
 
@@ -87,20 +87,20 @@ def test_what_was_asked_for_is_driven_within_the_limits(taken):
 
 
 @pytest.mark.slow
-def test_a_run_drives_again_from_its_own_takeover_file(taken, true_map, tmp_path):
+def test_a_run_drives_again_from_its_own_override_file(taken, true_map, tmp_path):
     out, metrics = taken
-    assert load_script(out / "takeover.yaml") == SCRIPT
-    assert goal_run(tmp_path / "again", true_map, source=out / "takeover.yaml") == metrics
-    for name in ("takeover.yaml", "runlog.csv", "trajectory.tum"):
+    assert load_script(out / "teleop_override.yaml") == SCRIPT
+    assert goal_run(tmp_path / "again", true_map, source=out / "teleop_override.yaml") == metrics
+    for name in ("teleop_override.yaml", "runlog.csv", "trajectory.tum"):
         assert (tmp_path / "again" / name).read_bytes() == (out / name).read_bytes(), name
 
 
 @pytest.mark.slow
-def test_the_monitor_stops_a_takeover_short_of_a_wall_unless_it_is_off(tmp_path):
+def test_the_monitor_stops_an_override_short_of_a_wall_unless_it_is_off(tmp_path):
     push = (Interval(begin=0.0, end=9.0, v=0.2),)
     contacts = {}
     for monitored in (True, False):
-        config = NavigateConfig(takeover=TakeoverConfig(script=push, monitor=monitored))
+        config = NavigateConfig(teleop_override=TeleopOverrideConfig(script=push, monitor=monitored))
         request = Request(task="avoid", seed=1, duration_s=9.0, start=SE2.from_xyt(-2.0, -0.5, np.pi))
         navigate(
             ARENA, BURGER, request, Output(tmp_path / str(monitored)), config=config, say=lambda line: None
@@ -124,7 +124,7 @@ def test_the_goals_time_and_the_wait_before_it_stand_meanwhile():
 
 def test_any_driving_key_takes_over_and_q_hands_back():
     typed = iter(["", "w", "a", "", "q", "", " ", "\n"])
-    keys = TakeoverKeys(
+    keys = OverrideKeys(
         load_robot("burger").limits, lambda: next(typed), lambda step: None, lambda text: None
     )
     asked = [keys.asked(k) for k in range(8)]
@@ -134,14 +134,14 @@ def test_any_driving_key_takes_over_and_q_hands_back():
 
 def test_the_end_of_a_pipe_hands_back():
     typed = itertools.chain(["ww"], itertools.repeat("q"))
-    keys = TakeoverKeys(
+    keys = OverrideKeys(
         load_robot("burger").limits, lambda: next(typed), lambda step: None, lambda text: None
     )
     assert [keys.asked(k) for k in range(3)] == [Twist(0.02, 0.0), None, None]
 
 
 @pytest.mark.slow
-def test_ctrl_c_during_a_keyboard_takeover_keeps_the_drive(true_map, tmp_path, monkeypatch, capfd):
+def test_ctrl_c_during_a_keyboard_override_keeps_the_drive(true_map, tmp_path, monkeypatch, capfd):
     def wait(step):
         if step == 3 * 30:
             signal.raise_signal(signal.SIGINT)
@@ -164,12 +164,12 @@ def test_ctrl_c_during_a_keyboard_takeover_keeps_the_drive(true_map, tmp_path, m
     with os.fdopen(reader) as stdin, os.fdopen(writer, "wb"):
         monkeypatch.setattr("sys.stdin", stdin)
         monkeypatch.setattr("turtlebag.pipeline.terminal.keyboard_teleop.clock", lambda speed: wait)
-        assert main([*words, "--takeover", "keyboard", "--out", str(out)]) == 130
+        assert main([*words, "--teleop-override", "keyboard", "--out", str(out)]) == 130
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["time_s"] == pytest.approx(3.0)
-    assert metrics["takeovers"]["count"] == 1
+    assert metrics["overrides"]["count"] == 1
     assert {goal["reason"] for goal in metrics["goals"]} == {"the run was interrupted"}
-    assert {"bag/metadata.yaml", "takeover.yaml", "trajectory.tum"} <= set(sha256_tree(out))
+    assert {"bag/metadata.yaml", "teleop_override.yaml", "trajectory.tum"} <= set(sha256_tree(out))
     assert (out / "manifest.json").is_file()
     assert "the run so far is kept" in capfd.readouterr().err
     assert signal.getsignal(signal.SIGINT) is before
@@ -181,16 +181,23 @@ def test_the_table_of_keys_is_shown_unless_it_is_to_be_quiet(tmp_path, monkeypat
     with open(os.devnull) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
         words = ["navigate", noise, "--world", WORLD, "--task", "avoid", "--duration", "1"]
-        words += ["--takeover", "keyboard", "--set", "takeover.speed=50", "--out", str(tmp_path / "run")]
+        words += [
+            "--teleop-override",
+            "keyboard",
+            "--set",
+            "teleop_override.speed=50",
+            "--out",
+            str(tmp_path / "run"),
+        ]
         assert main(words) == 0
     out, err = capsys.readouterr()
     assert ("hand back" in err, bool(out)) == (noise == "-v", noise == "-v")
     assert noise == "-v" or err == ""
 
 
-def test_intervals_that_touch_are_one_takeover():
+def test_intervals_that_touch_are_one_override():
     stamps = np.arange(6) * S
-    assert takeovers(stamps, ["navigation", "teleop", "teleop", "navigation", "teleop", "navigation"]) == {
+    assert overrides(stamps, ["navigation", "teleop", "teleop", "navigation", "teleop", "navigation"]) == {
         "count": 2,
         "time_s": 3.0,
     }
@@ -210,12 +217,12 @@ def test_intervals_that_touch_are_one_takeover():
         ("- {begin: 1, end: 1.0e300}", "less than or equal"),
     ],
 )
-def test_bad_takeover_files_are_one_line(tmp_path, capsys, text, said):
+def test_bad_override_files_are_one_line(tmp_path, capsys, text, said):
     path = tmp_path / "t.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=said):
         load_script(path)
-    words = ["navigate", "--world", WORLD, "--task", "avoid", "--takeover", str(path)]
+    words = ["navigate", "--world", WORLD, "--task", "avoid", "--teleop-override", str(path)]
     assert main([*words, "--out", str(tmp_path / "run")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "run").exists()
