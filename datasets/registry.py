@@ -131,9 +131,7 @@ def _in_mirror(file: RemoteFile) -> Path | None:
         raise InputError(f"{MIRROR_VARIABLE}={folder}: no such folder")
     for path in sorted(Path(folder).rglob(file.name)):
         if sha256_file(path) != file.sha256:
-            raise InputError(
-                f"{path}: not the file of the registry (its sha256 differs); replace or remove it"
-            )
+            raise InputError(f"{path}: does not match the registry (sha256 differs); replace or remove it")
         return path
     return None
 
@@ -149,7 +147,7 @@ def _downloaded(file: RemoteFile) -> Path:
         )
     except ValueError:
         raise InputError(
-            f"{file.url}: the downloaded file does not have the sha256 of the registry"
+            f"{file.url}: the downloaded file does not match the registry (sha256 differs)"
         ) from None
     except Exception as error:
         # requests, urllib3 and the file system each have their own families of errors.

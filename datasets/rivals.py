@@ -42,7 +42,7 @@ def kind_of(path: Path) -> str:
 def require_name(name: str) -> None:
     """InputError for what is no name of a system."""
     if not NAME.fullmatch(name):
-        raise InputError(f"{name!r}: the name of another system has only letters, digits, - and _")
+        raise InputError(f"{name!r}: a system's name may contain only letters, digits, - and _")
 
 
 @pydantic_dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RivalFiles:
     def __post_init__(self) -> None:
         require_name(self.name)
         if self.name in (OURS, TRUTH):
-            raise InputError(f"{self.name}: this name is taken; give this system another")
+            raise InputError(f"{self.name}: is taken; give this system another name")
         if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
             raise InputError(f"{self.name} has no trajectory")
         if not abs(self.shift_s) < LONGEST_S:
@@ -101,7 +101,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
         if path is not None and path.is_dir():
             raise InputError(f"{path}: is a folder; give the file of the {what} in it")
         if path is not None and path.suffix.lower() in IMAGES:
-            raise InputError(f"{path}: is the image of a map; give its yaml file")
+            raise InputError(f"{path}: is a map's image; give the map's YAML file")
     grid = None if files.map is None else load_map(files.map)
     if files.trajectory is None:
         return System(files.name, None, grid)

@@ -113,7 +113,7 @@ def _kitti_stamps(poses: NumberLines, times: Path | None, scans_ns: Stamps) -> S
             return scans_ns
         raise InputError(
             f"{path}: KITTI poses have no times, and {count} poses do not match {len(scans_ns)} scans; "
-            "give their times (seconds, one a line) by --rival-times"
+            "give their times (seconds, one per line) with --rival-times"
         )
     lines = NumberLines.read(times)
     if len(lines.lines) != count:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
@@ -84,12 +86,18 @@ def checked(model: type[Model], data: Any, *, where: str) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "top level"
-        what = KINDS.get(first["type"], first["msg"])
+        what = plain_message(first)
         if first["type"] == "extra_forbidden":
             what = _unknown(model, first["loc"])
         elif description := _description(model, first["loc"]):
             what += f" ({description})"
         raise InputError(f"{where}: {key}: {' '.join(what.split())}") from None
+
+
+def plain_message(error: ErrorDetails) -> str:
+    """What is wrong with a value, without Python's words."""
+    said = error["msg"].removeprefix("Value error, ").partition(", unable to ")[0]
+    return KINDS.get(error["type"], re.sub(r"^\w+ should ", "must ", said))
 
 
 def _unknown(model: type[BaseModel], loc: Sequence[int | str]) -> str:
@@ -134,7 +142,7 @@ def find_named(name_or_path: str, folder: Path, kind: str) -> Path:
     path = folder / f"{name_or_path}.yaml"
     if not path.is_file():
         known = ", ".join([*known_names(folder), "a .yaml file"])
-        raise InputError(f"unknown {kind} '{name_or_path}': known are {known}")
+        raise InputError(f"unknown {kind} '{name_or_path}'; known: {known}")
     return path
 
 

@@ -46,7 +46,7 @@ def load_world(name_or_path: str) -> World:
         if own := own_world(name_or_path):
             return _own(*own)
         raise InputError(
-            f"unknown world '{name_or_path}': known are {', '.join(world_names())}, "
+            f"unknown world '{name_or_path}'; known: {', '.join(world_names())}, "
             f"{', '.join(f'{generator}:SEED' for generator in GENERATORS)}, a .yaml, .world or .sdf file, "
             "or your own class (module:Class)"
         )
@@ -125,7 +125,7 @@ def _own(part: str, options: str) -> World:
 def _generated(where: str, name: str, settings: str) -> World:
     """World of a generator: settings are `SEED` and then `key=number` for its own parameters."""
     if name not in GENERATORS:
-        raise InputError(f"{where}: unknown generator '{name}': known are {', '.join(GENERATORS)}")
+        raise InputError(f"{where}: unknown generator '{name}'; known: {', '.join(GENERATORS)}")
     generator = GENERATORS[name]
     known = [key for key in inspect.signature(generator).parameters if key != "seed"]
     seed, *pairs = settings.split(",")

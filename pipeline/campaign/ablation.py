@@ -42,7 +42,7 @@ def ablate(
     parts = [] if replace == "none" else replace.split(",")
     for part in parts:
         if part not in PARTS:
-            raise InputError(f"--replace {part}: known are none, {', '.join(PARTS)}")
+            raise InputError(f"--replace {part}: unknown part (known: none, {', '.join(PARTS)})")
     record = load_stage(folder_of_record)
     if record.kind != "record" or record.truth is None or record.true_map is None:
         raise InputError(f"{folder_of_record}: has no ground truth; give the output of record")

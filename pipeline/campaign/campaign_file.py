@@ -39,7 +39,7 @@ Levels = list[Scalar] | Range | Uniform | dict[str, str]
 
 def _known(unit: str) -> str:
     if unit not in UNITS:
-        raise ValueError(f"unit {unit}: known are {', '.join(UNITS)}")
+        raise ValueError(f"unit {unit}: unknown; known: {', '.join(UNITS)}")
     return unit
 
 
@@ -123,9 +123,9 @@ class Campaign(Settings):
             raise ValueError("a factor with low and high needs `sample`: the number of cases to draw")
         self._columns_are_free()
         if self.bags and BAG in self.factors:
-            raise ValueError(f"factors.{BAG}: `bags` make this factor; rename yours")
+            raise ValueError(f"factors.{BAG}: `bags` already defines this factor; rename yours")
         if not self.factor_names:
-            raise ValueError("it needs `factors` or `bags`")
+            raise ValueError("needs `factors` or `bags`")
         if clash := set(self.factor_names) & set(self.stages):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a stage")
         for stage in self.shared:

@@ -73,7 +73,7 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
             connection.execute(f"CREATE VIEW runs AS SELECT {chosen} FROM read_parquet([{files}], {kind})")
             result = connection.execute(sql)
             if result is None or result.description is None:
-                raise InputError("query: it is empty; for example: SELECT * FROM runs")
+                raise InputError("--query: is empty; for example: SELECT * FROM runs")
             return [column[0] for column in result.description], result.fetchall()
         except duckdb.Error as error:
             raise InputError(f"query: {_first_line(error)}") from None

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "record", "DIR", "output of record", Path)
     text = f"what to replace with ground truth: none, or a comma-separated list of {', '.join(PARTS)}"
     option(parser, "--replace", "PARTS", text, default="none")
-    flag(parser, "--patrol", "then drive the tutorial's patrol on the map, with the same parts replaced")
+    flag(parser, "--patrol", "also drive the tutorial's patrol on the map, with the same parts replaced")
     add_config(parser)
     add_output(parser)
 

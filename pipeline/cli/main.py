@@ -192,8 +192,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             with _stopping_cleanly():
                 if "" in argv:
-                    before = " ".join(argv[: argv.index("")][-1:])
-                    raise InputError(f"{before} : is empty; is a shell variable not set?")
+                    before = "".join(f" after {word}" for word in argv[: argv.index("")][-1:])
+                    raise InputError(f"empty argument{before}; is a shell variable unset?")
                 args = parsed(argv)
                 args.command_line = ["turtlebag", *argv]
                 code = _run(args, stdout)

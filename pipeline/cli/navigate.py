@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "for --task avoid: guarded (default) uses the robot's shape; tutorial is the tutorial's rule"
     parser.add_argument("--mode", choices=("guarded", "tutorial"), help=text)
     flag(parser, "--wiggle", "first turn back and forth until the particles converge")
-    text = "teleop override of cmd_vel: by keyboard, or by a YAML list of begin, end, v and w"
+    text = "override cmd_vel by keyboard, or by a YAML list of intervals with begin, end, v and w"
     option(parser, "--teleop-override", "keyboard|FILE", text)
     text = "YAML file with keep-out polygons under 'keepout' (default: the world's own)"
     option(parser, "--keepout", "FILE|none", text)

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--bag", "BAG", "bag or log to play and map, in place of a simulation", Path)
     option(parser, "--port", "P", "port of the page (default: a free one)", _port)
     text = (
-        "address to listen at (default: this machine only); with another, whoever knows the page's "
+        "address to listen on (default: this machine only); on any other, anyone who knows the page's "
         "address can drive"
     )
     option(parser, "--host", "H", text)
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     access = Access(new_token(), host, sockets[0].getsockname()[1])
     if not is_loopback(host):
         log.warning(
-            f"--host {host}: everybody who can reach this machine and knows the page's address can drive the "
+            f"--host {host}: anyone who can reach this machine and knows the page's address can drive the "
             "robot and save below --out; nothing is encrypted"
         )
     return _live(setup, out, access, sockets, args)
@@ -117,7 +117,7 @@ def _replay(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.studio import replay
     from turtlebag.pipeline.terminal.messages import log
 
-    _refuse(args, LIVE, "cannot be used with --replay, whose file holds it; remove it")
+    _refuse(args, LIVE, "cannot be used with --replay, which takes it from the session; remove it")
     if args.out is None:
         raise InputError("--replay: needs --out DIR, the folder to write the session to")
     return replay(args.replay, output(args), say=log.info)
@@ -150,5 +150,5 @@ def _open_browser(url: str) -> None:
 
 def _port(text: str) -> int:
     if not text.isdecimal() or not 0 < int(text) < 65536:
-        raise argparse.ArgumentTypeError(f"a port is from 1 to 65535, not {text}")
+        raise argparse.ArgumentTypeError(f"must be a port from 1 to 65535, not {text}")
     return int(text)

@@ -36,7 +36,7 @@ def read_nav2(data: dict[str, Any], *, where: str) -> tuple[dict[str, Any], list
     node = {"ros__parameters": data} if _is_flat(data) else _amcl_node(data)
     parameters = node.get("ros__parameters") if isinstance(node, dict) else None
     if not isinstance(parameters, dict):
-        raise InputError(f"{where}: no amcl: ros__parameters: section in it")
+        raise InputError(f"{where}: has no section `amcl: ros__parameters:`")
     known = {NAMES[name]: value for name, value in parameters.items() if name in NAMES}
     return known, sorted(str(name) for name in parameters if name not in NAMES)
 

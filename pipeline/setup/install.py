@@ -77,10 +77,10 @@ def install(environment: Path, project: Path) -> None:
         except Broken as error:
             if not found:
                 raise
-            print(f"set-up: {error}; making {environment.name} anew", flush=True)
+            print(f"set-up: {error}; recreating {environment.name}", flush=True)
             _clear(environment)
             _fill(environment, project, handle)
-        print("set-up: a trial, which compiles the numeric kernels", flush=True)
+        print("set-up: trial run, which compiles the numeric kernels", flush=True)
         if subprocess.run([environment / "bin/turtlebag", "doctor", "--trial"], check=False).returncode:
             raise Failed(f"the lines above say what does not work here; put that right, {AGAIN}")
 
@@ -125,11 +125,11 @@ def _fill(environment: Path, project: Path, handle: int) -> None:
     (environment / UNFINISHED).touch()
     (environment / READY).unlink(missing_ok=True)
     log.write_text("")
-    print(f"set-up: a virtual environment in {environment.name}", flush=True)
+    print(f"set-up: creating a virtual environment in {environment.name}", flush=True)
     what = "the virtual environment could not be made"
     _run([sys.executable, "-m", "venv", str(environment)], log, what, handle)
     packages = sum(bool(line.strip()) for line in lock.read_text().splitlines())
-    print(f"set-up: {packages} packages (some minutes, once)", flush=True)
+    print(f"set-up: {packages} packages (takes some minutes, only this once)", flush=True)
     what = "the packages could not be installed"
     _run([python, *PIP, "-r", str(lock)], log, what, handle)
     own = ("--no-build-isolation", "--editable", str(project))
@@ -182,7 +182,7 @@ def _run(command: Sequence[str], log: Path, what: str, handle: int) -> None:
         for line in process.stdout or ():
             kept.write(line)
             if "Retrying (" in line and not NO_ANSWER.search("".join(said)):
-                print(f"set-up: no answer from {mirror()}; trying again (Ctrl-C gives up)", flush=True)
+                print(f"set-up: no answer from {mirror()}; trying again (Ctrl-C to give up)", flush=True)
             said.append(line)
     if process.returncode:
         raise Failed(f"{_reason(said, what, process.returncode)} (all of it: {log.parent.name}/{log.name})")
@@ -227,7 +227,7 @@ def main() -> int:
         print(f"set-up: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("set-up: interrupted; the same make goes on from here", file=sys.stderr)
+        print("set-up: interrupted; run make again to resume", file=sys.stderr)
         return 130
     return 0
 

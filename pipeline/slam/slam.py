@@ -199,7 +199,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     """The map of a session and of later recordings joined to it."""
     if more and run.config.sensors == "odometry":
         raise InputError(
-            f"{more[0].source}: only scans can join it to {session.recording.source}; "
+            f"{more[0].source}: joining it to {session.recording.source} needs scans; "
             "map each separately, or drop sensors=odometry"
         )
     for other in more:
@@ -299,7 +299,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     config = _with_sensors(recording, run.config)[1]
     T_map_b = place_of(clouds(), a, b, config.place_recognition, config.loops)
     if T_map_b is None:
-        raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
+        raise InputError(f"{b.recording.source}: no place in it is recognised as one of {a.recording.source}")
     track = joined_track(track_a, track_b, T_map_b)
     border = border_constraint(track_a, T_map_keys, T_map_b, track_b)
     doubted = distrusted(recording, track, config.tracking.odometry, np.array([len(a.recording)]))

@@ -49,7 +49,7 @@ class MapInputs:
 
     def __post_init__(self) -> None:
         if self.edits is not None and (self.also or self.continued is not None):
-            raise InputError("--edits: its scans are those of one log; leave out --also and --continue")
+            raise InputError("--edits: refers to the scans of one log; leave out --also and --continue")
 
     def later(self) -> Iterator[Recording]:
         """The recordings that are joined to the first."""
@@ -65,7 +65,7 @@ class MapInputs:
         }
         for option in (option for option, value in given.items() if value is not None):
             source = self.source.path
-            raise InputError(f"{option}: only for 2D scans, and {source} is mapped in 3D") from None
+            raise InputError(f"{option}: for 2D scans only, but {source} is mapped in 3D") from None
 
     def files(self) -> dict[str, Path]:
         """All of them by the names that a manifest gives them."""

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.yaml_files import plain_message
 
 MESSAGE_BYTES = 64 * 1024
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -206,7 +207,7 @@ def parse_message(message: str | bytes) -> Control | Input:
     try:
         return _CONTROLS.validate_python(data)
     except ValidationError as error:
-        raise InputError(f"{do}: {error.errors(include_input=False)[0]['msg']}") from None
+        raise InputError(f"{do}: {plain_message(error.errors(include_input=False)[0])}") from None
 
 
 def parse_input(data: Any, where: str = "input") -> Input:
@@ -214,12 +215,12 @@ def parse_input(data: Any, where: str = "input") -> Input:
     do = data.get("do") if isinstance(data, dict) else None
     if not isinstance(do, str) or do not in KNOWN:
         said = f"'{do}'" if isinstance(do, str) and do.isidentifier() and len(do) < 64 else "that"
-        raise InputError(f"{where}: {said} is no input; `do` is one of {', '.join(KNOWN)}")
+        raise InputError(f"{where}: {said} is not an input; `do` must be one of {', '.join(KNOWN)}")
     try:
         return _INPUTS.validate_python(data)
     except ValidationError as error:
         first = error.errors(include_input=False, include_url=False)[0]
         # The first part of the place is `do` itself.
         place = ".".join(str(part)[:64] for part in first["loc"][1:])
-        said = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+        said = "unknown key" if first["type"] == "extra_forbidden" else plain_message(first)
         raise InputError(" ".join(f"{where}: {do}: {place}: {said}".split())) from None

@@ -52,7 +52,7 @@ class Library:
         if name not in self.maps:
             known = ", ".join(filter(None, self.maps))
             what = f"map {name}: no such map" if name else "no map was given at the start"
-            raise InputError(f"{what}; {f'known are {known}' if known else 'save one first'}")
+            raise InputError(f"{what}; {f'known: {known}' if known else 'save one first'}")
         if not name and self._given is not None:
             return (*self._given, None)
         path = self._maps / f"{name}.yaml"
@@ -80,7 +80,7 @@ class Library:
             return tutorial_patrol().waypoints
         if name not in self.waypoint_files:
             known = ", ".join(self.waypoint_files)
-            rest = f"known are {known}" if known else "save some first"
+            rest = f"known: {known}" if known else "save some first"
             raise InputError(f"waypoints {name}: no such file; {rest}")
         return load_waypoints(self._waypoints / f"{name}.yaml").waypoints
 

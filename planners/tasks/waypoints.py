@@ -61,7 +61,7 @@ def parse_waypoints(data: Any, where: str) -> WaypointFile:
     if unknown := sorted(str(key) for key in set(data) - KEYS):
         raise InputError(f"{where}: unknown key {unknown[0]} (known: {', '.join(sorted(KEYS))})")
     if not data["waypoints"]:
-        raise InputError(f"{where}: no waypoints in it")
+        raise InputError(f"{where}: contains no waypoints")
     return WaypointFile(
         tuple(parse_waypoint(entry) for entry in data["waypoints"]),
         parse_polygons(data.get("keepout") or [], where),

@@ -59,7 +59,7 @@ class References:
             found.update(relations_metrics(trajectory, self.relations))
             if found["relations"]["n"] == 0:
                 file = self.inputs.get("relations", "relations")
-                raise InputError(f"{file}: none of its relations is of two scans of this recording")
+                raise InputError(f"{file}: no relation in it is between two scans of this recording")
         return found
 
 

@@ -92,7 +92,7 @@ WRONG = {
     "a list": (lambda t: tb.compare(t / "a", rivals=["x"]), "^rivals: expected a mapping .*, not a list"),
     "no name": (
         lambda t: tb.compare(t / "a", rivals={"x=y": t / "other.tum"}),
-        "^'x=y': the name of another system",
+        "^'x=y': a system's name",
     ),
     "no file": (lambda t: tb.compare(t / "a", rivals={"x": 3}), "^rivals x: expected a path, not a int"),
     "nothing of it": (lambda t: tb.compare(t / "a", rivals={"x": tb.Rival()}), "^x has no trajectory"),

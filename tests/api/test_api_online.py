@@ -61,7 +61,7 @@ def test_the_mapper_and_the_localiser_follow_a_robot_that_is_driven(chain):
         truth = sim.truth.T_world_base
         assert np.hypot(*(mapper.T_map_odom @ seen.odometry.T_odom_base).xy - truth.xy) < 0.05
         assert np.hypot(*(localiser.T_map_odom @ seen.odometry.T_odom_base).xy - truth.xy) < 0.08
-        with pytest.raises(tb.InputError, match="is not after the last one's"):
+        with pytest.raises(tb.InputError, match="is not after the previous one"):
             mapper.observe(seen)
         with pytest.raises(tb.InputError, match="expected a Observation, not a int"):
             localiser.observe(5)
@@ -137,8 +137,8 @@ BAD = {
     ),
     "half a pose": (lambda s: (s, (0, 0)), "odometry: expected three finite numbers x, y, yaw"),
     "a pose nowhere": (lambda s: (s, (0, np.inf, 0)), "odometry: expected three finite numbers x, y, yaw"),
-    "none any more": (lambda s: (s, None), "was a pose for the scans before and is none now"),
-    "another kind": (lambda s: (s, samples(1, 2)), "was a pose for the scans before and is a trajectory now"),
+    "none any more": (lambda s: (s, None), "was a pose for earlier scans, is none now"),
+    "another kind": (lambda s: (s, samples(1, 2)), "was a pose for earlier scans, is a trajectory now"),
     "no samples": (lambda s: (s, samples()), "odometry: expected stamps|odometry: has no poses"),
     "samples back": (lambda s: (s, samples(2, 1)), "its stamps must increase"),
     "samples of no time": (lambda s: (s, samples(1.0, np.nan)), "expected stamps .* in whole nanoseconds"),

@@ -154,7 +154,7 @@ WRONG = {
         lambda c: tb.navigate(task=tb.Patrol(), world="empty"),
         "map: a patrol needs one",
     ),
-    "avoid on a map": (lambda c: tb.navigate(c / "map", task=tb.Avoid()), "avoid: works without map"),
+    "avoid on a map": (lambda c: tb.navigate(c / "map", task=tb.Avoid()), "avoid: takes no map"),
     "no task": (lambda c: tb.navigate(c / "map", task=3), "task: expected Patrol"),
     "no time": (lambda c: tb.navigate(world="empty", task=tb.Goal(1, 0, timeout=0)), "timeout: expected"),
     "no laps": (lambda c: tb.navigate(c / "map", task=tb.Patrol(laps=0)), "laps: expected"),
@@ -271,7 +271,7 @@ def test_numbers_and_poses_may_be_numpys():
 def test_a_table_goes_to_pandas_and_arrow_where_they_are(monkeypatch):
     table = tb.Table({"a": [1, None], "word": ["x", "y"]})
     assert np.isnan(table["a"][1])
-    with pytest.raises(tb.InputError, match="no column b; there are a, word"):
+    with pytest.raises(tb.InputError, match="no column b; the columns are a, word"):
         table["b"]
     for package, call in (("pandas", table.to_pandas), ("pyarrow", table.to_arrow)):
         with monkeypatch.context() as patch:

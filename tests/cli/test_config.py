@@ -113,6 +113,26 @@ def test_a_value_of_the_wrong_make_is_told_what_the_key_holds(setting, message):
     assert str(caught.value) == f"--set: sim.faults.{message}"
 
 
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("sim.lidar.sigma=-1", "sim.lidar.sigma: must be greater than or equal to 0"),
+        ("sim.lidar.sigma=wide", "sim.lidar.sigma: must be a valid number"),
+        ("sim.lidar.noise=wide", "sim.lidar.noise: must be 'sensor', 'gazebo', 'datasheet' or 'none'"),
+        ("teleop_override.monitor=3", "teleop_override.monitor: must be a valid boolean"),
+        ("relocalise.restarts=1.5", "relocalise.restarts: must be a valid integer, got a number with a"),
+        (
+            "teleop_override.script=[{begin: 2, end: 1}]",
+            "teleop_override.script.0: an interval must end after it begins: 2 to 1",
+        ),
+    ],
+)
+def test_a_wrong_value_is_told_in_plain_words(setting, message):
+    with pytest.raises(InputError) as caught:
+        load_config(NavigateConfig, settings=[setting])
+    assert str(caught.value).startswith(f"--set: {message}")
+
+
 def test_a_section_is_told_to_be_keys_and_values():
     with pytest.raises(InputError, match=r"^--set: relocalise: expected keys and values$"):
         load_config(NavigateConfig, settings=["relocalise=3"])

@@ -167,7 +167,7 @@ def test_a_package_that_lost_its_files_is_noticed(machine):
     (machine.folder / ".venv/.ready").unlink()
     code, _, said = machine.setup()
     assert code == 0
-    assert "what is in .venv is damaged (damaged); making .venv anew" in said
+    assert "what is in .venv is damaged (damaged); recreating .venv" in said
     assert not (machine.folder / ".venv/damaged").exists()
 
 

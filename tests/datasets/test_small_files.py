@@ -89,7 +89,7 @@ def test_yaml_is_read_with_one_line_for_what_is_wrong(tmp_path):
     assert checked(Small, {"size": 5}, where="x").size == 5
     for data, says in (
         ({"sise": 1}, "x: sise: unknown key"),
-        ({"size": "a"}, "x: size: Input should be"),
+        ({"size": "a"}, "x: size: must be"),
         ([], "x: top level: "),
     ):
         with pytest.raises(InputError, match=says):

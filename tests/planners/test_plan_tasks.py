@@ -239,7 +239,7 @@ def test_a_waypoints_file_is_a_list_of_entries_or_says_what_to_keep_out_of_besid
         assert [area.tolist() for area in found.keepout] == areas
     for bad, told in (
         ("home", "expected a list"),
-        ([], "no waypoints"),
+        ([], "contains no waypoints"),
         ({"waypoints": 1}, "expected a list"),
     ):
         with pytest.raises(InputError, match=f"file: {told}"):

@@ -221,8 +221,8 @@ def test_a_localisation_has_rivals_too(tree):
     [
         (["{base}/nothing.tum"], "no such output, trajectory or map"),
         (["x={base}/nothing.tum"], "no such trajectory file"),
-        (["{base}/carto.pgm"], "give its yaml file"),
-        (["a/b={base}/carto.tum"], "the name of another system has only letters"),
+        (["{base}/carto.pgm"], "give the map's YAML file"),
+        (["a/b={base}/carto.tum"], "a system's name may contain only letters"),
         (["TurtleBag={base}/carto.tum"], "give this system another"),
         (["x={base}/carto.tum", "x={base}/carto.tum"], "x has a trajectory already"),
         (["{base}/carto.tum", "--rival-shift", "9000"], "share 0 instants; if its clock has another origin"),

@@ -330,6 +330,6 @@ def test_relations_of_another_log_are_refused(tmp_path, capsys, log):
     source.write_text(carmen_text(replace(log, ranges=log.ranges[:2], stamps_ns=log.stamps_ns[:2])))
     relations.write_text("9e8 9.1e8 1 0 0 0 0 0\n")
     assert main(["map", str(source), "--relations", str(relations), "--out", str(out), "-q"]) == 2
-    said = f"turtlebag: {relations}: none of its relations is of two scans of this recording\n"
+    said = f"turtlebag: {relations}: no relation in it is between two scans of this recording\n"
     assert capsys.readouterr().err == said
     assert not out.exists()

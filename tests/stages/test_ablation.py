@@ -72,7 +72,7 @@ def test_true_poses_are_taken_as_they_are():
 def test_what_cannot_be_replaced_is_refused(record, tmp_path, capsys):
     out = ["--out", str(tmp_path / "out")]
     assert main(["ablate", str(record), "--replace", "luck", *out]) == 2
-    assert "known are none, odometry, deskew, front_end" in capsys.readouterr().err
+    assert "known: none, odometry, deskew, front_end" in capsys.readouterr().err
     assert main(["ablate", str(tmp_path), *out]) == 2
     stage = load_stage(record)
     (record / "truth/trajectory.tum").write_text("0 0 0 0 0 0 0 1\n")

@@ -85,7 +85,7 @@ def test_planar_scans_come_first_and_a_topic_chooses(bag, drive, tmp_path):
     ("arguments", "words"),
     [
         ({"topic": "/nothing"}, "--topic /nothing is not in this bag"),
-        ({"also": [Path("other")]}, "--also: only for 2D scans"),
+        ({"also": [Path("other")]}, "--also: for 2D scans only"),
         ({"settings": ["grid.resolution_m=0.1"]}, "grid"),
         ({"settings": ["slice.low_m=0.5", "slice.high_m=0.2"]}, "low_m must be below high_m"),
     ],

@@ -120,7 +120,7 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
         ("y: good", "y: bad", "not a result"),
         ("question:", "questoin:", "unknown key"),
         ("compare: size", "shared: [cook]", "cook is not a stage"),
-        ("unit: cm", "unit: inch", "unit inch: known are"),
+        ("unit: cm", "unit: inch", "unit inch: unknown; known: "),
         ("panels: kind", "panels: colour", "colour is not a factor"),
         ("size: [1, 2, 3]", "size: []", "factors.size: has no levels"),
         ("{first: 1, last: 4}", "{first: 4, last: 1}", "factors.seed: first 4 is after last 1"),

@@ -264,7 +264,7 @@ def test_the_page_tells_how_far_it_is_and_which_case_is_worst(tmp_path, monkeypa
 
 def test_bags_are_a_factor_with_a_name_of_its_own(tmp_path):
     for old, new, message in [
-        ("way: [1, 2]", "bag: [1], way: [1]", "factors.bag: `bags` make this factor"),
+        ("way: [1, 2]", "bag: [1], way: [1]", "factors.bag: `bags` already defines this factor"),
         ("{{bag}}", "x", "factors.bag: no stage uses it"),
         ("bags: [", "bag: [", "unknown key"),
     ]:

@@ -107,7 +107,7 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
         (HEAD + "inputs:\n- 3\n", "input 1: expected keys and values"),
         (HEAD + "inputs:\n- {at: -1, do: avoid}\n", "input 1: at: must be 0 to"),
         (HEAD + "inputs:\n- {at: .nan, do: avoid}\n", "input 1: at: must be 0 to"),
-        (HEAD + "inputs:\n- {at: 1, do: dance}\n", "input 1: 'dance' is no input"),
+        (HEAD + "inputs:\n- {at: 1, do: dance}\n", "input 1: 'dance' is not an input"),
         (HEAD + "inputs:\n- {at: 1, do: drive, v: 1}\n", "input 1: drive: write it as an interval"),
         (HEAD + "inputs:\n- {at: 1, do: goal, pose: [0, 0]}\n", "input 1: goal: pose.2"),
         (
@@ -116,7 +116,7 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
         ),
         (HEAD + "inputs:\n- {at: 2, do: end}\n- {at: 3, do: avoid}\n", "input 2: comes after"),
         (HEAD + "inputs:\n- {begin: 2, end: 1}\n", "input 1"),
-        (HEAD + "inputs:\n- {begin: 2, end: 1.0e+8}\n", "input 1: end: Input should be less than"),
+        (HEAD + "inputs:\n- {begin: 2, end: 1.0e+8}\n", "input 1: end: must be less than"),
         (HEAD + "inputs:\n- {begin: 0, end: 2}\n- {begin: 1, end: 3}\n", "overlap"),
         (HEAD + "inputs:\n- {begin: 0, end: 1, u: 3}\n", "u: unknown key"),
         (HEAD.replace("empty", "nowhere"), "unknown world 'nowhere'"),

@@ -142,7 +142,7 @@ def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path, monkeypatch,
     ("options", "said"),
     [
         (["--port", "{port}"], "--port {port}: in use; choose another, or leave it out for a free one"),
-        (["--port", "70000"], "a port is from 1 to 65535"),
+        (["--port", "70000"], "must be a port from 1 to 65535"),
         (["--host", "192.0.2.1"], "--host 192.0.2.1: "),
         (["--world", "nowhere"], "nowhere"),
         (["--map", "no.yaml"], "no.yaml"),

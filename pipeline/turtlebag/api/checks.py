@@ -60,11 +60,11 @@ def checked_odometry(
             raise InputError("odometry: has poses that are not finite")
         before = last.stamps_ns[-1:] if isinstance(last, types.Trajectory) else stamps[:0]
         if np.any(np.diff(np.concatenate([before, stamps])) <= 0):
-            raise InputError("odometry: its stamps must increase, from those of the last scan on too")
+            raise InputError("odometry: stamps must increase, also from one scan to the next")
     elif odometry is not None:
         found = pose_of(odometry, "odometry")
     if not first and _kind(found) != _kind(last):
-        raise InputError(f"odometry: was {_kind(last)} for the scans before and is {_kind(found)} now")
+        raise InputError(f"odometry: was {_kind(last)} for earlier scans, is {_kind(found)} now")
     return found  # type: ignore[return-value]
 
 
@@ -96,5 +96,5 @@ def _stamp(value: Any, what: str) -> int:
     except TypeError:
         raise InputError(f"{what}: expected whole nanoseconds, not {value!r}") from None
     if abs(stamp) > LATEST_NS:
-        raise InputError(f"{what}: {stamp} is no time in nanoseconds")
+        raise InputError(f"{what}: {stamp} is not a time in nanoseconds")
     return stamp

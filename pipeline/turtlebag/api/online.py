@@ -57,7 +57,7 @@ class _Listener:
         """InputError unless it is an observation, later than the last one."""
         require_kind(observation, Observation, "observation")
         if self.observed_ns is not None and observation.stamp_ns <= self.observed_ns:
-            raise InputError(f"observation: its stamp {observation.stamp_ns} is not after the last one's")
+            raise InputError(f"observation: stamp {observation.stamp_ns} is not after the previous one")
         self.observed_ns = observation.stamp_ns
 
 

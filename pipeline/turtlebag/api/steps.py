@@ -262,12 +262,12 @@ def navigate(
         now.kept.append(files)
         told = task_options(name, files.path)
         if on is None and isinstance(task, Patrol):
-            raise InputError("map: a patrol needs one; give the map to drive by")
+            raise InputError("map: a patrol needs one; give the map to drive on")
         if isinstance(task, Avoid | Explore) and (on is not None or wiggle or keepout is not None):
-            raise InputError(f"{told['task']}: works without map, wiggle and keepout; leave them out")
+            raise InputError(f"{told['task']}: takes no map, wiggle or keepout; leave them out")
         scene = part_name(world) if world is not None or on is None else on.world
         if scene is None:
-            raise InputError("world: name the world to drive in; this map does not tell where it was made")
+            raise InputError("world: give the world to drive in; the map does not say where it was made")
         by = robot if robot is not None or on is None else on.robot
         now.run(
             world=text_of(scene, "world"),

@@ -37,7 +37,7 @@ class Table:
     def __getitem__(self, name: str) -> NDArray[Any]:
         """A column, (n,); InputError lists the columns if there is none of that name."""
         if name not in self.columns:
-            raise InputError(f"no column {name}; there are {', '.join(self.columns)}")
+            raise InputError(f"no column {name}; the columns are {', '.join(self.columns)}")
         return self.columns[name]
 
     def __repr__(self) -> str:
