@@ -29,7 +29,7 @@ PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", 
 NUMBERS = {
     "weight of the prior": "align.PRIOR_SHARE",
     "variance of surfaces": "align.SURFACE_VAR",
-    "shared errors of points": "align.STEP_INFLATION",
+    "shared errors of points": "align.STEP_COVARIANCE_SCALE",
     "kernel, rough poses": "correspondences.ROUGH.sigma",
     "kernel, good poses": "correspondences.FINE.sigma",
     "weight of the odometry's NIS": "icp_odometry.NIS_WEIGHT",
@@ -37,7 +37,7 @@ NUMBERS = {
     "way between key scans": "tracking: key_distance_m key_turn_rad",
     "drift of the steps": "drift.HONEST",
     "reach of loops": "loops: reach_m",
-    "trust in loops": "loops: inflation",
+    "trust in loops": "loops: covariance_scale",
 }
 """Constants of modules of `pipeline/slam`, and settings by their section: those named change together."""
 FACTORS = (0.5, 2.0)

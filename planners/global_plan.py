@@ -30,11 +30,11 @@ from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 
-BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
-"""Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls.
+BAND_PULL, BAND_PUSHES, BAND_ITERATIONS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
+"""Weights and iterations of the elastic band; a gentler push leaves the path shorter and nearer to the walls.
 
 Not measured."""
-TIGHT_PULL, TIGHT_SWEEPS = 0.9, 300
+TIGHT_PULL, TIGHT_ITERATIONS = 0.9, 300
 """The same for pulling a path tight: with those of the band RRTConnect's are 0.5 % longer."""
 INFORMED = 1.1
 """OMPL searches only floor on some way at most this much longer than the shortest over the cells: without
@@ -302,7 +302,7 @@ class _Search:
     def tightened(self, path: Array) -> Array:
         """Corners (n, 2) of the path drawn tight like a string."""
         dense = densify(path, SPACING_M)
-        pulled = self._band(dense, 0.0, TIGHT_PULL, TIGHT_SWEEPS)
+        pulled = self._band(dense, 0.0, TIGHT_PULL, TIGHT_ITERATIONS)
         tight = shortcut(self.field, self.resolution, self.radius, pulled)
         return tight if path_length(tight) < path_length(path) else path
 
@@ -310,14 +310,14 @@ class _Search:
         """Points (n, 2) from start to goal, pushed off obstacles as far as the length limit lets them."""
         points = tight
         for push in BAND_PUSHES:
-            band = self._band(densify(tight, SPACING_M), push, BAND_PULL, BAND_SWEEPS)
+            band = self._band(densify(tight, SPACING_M), push, BAND_PULL, BAND_ITERATIONS)
             whole = np.concatenate([start[None], densify(band, 2.0 * SPACING_M), goal[None]])
             points = _without_repeats(whole)
             if path_length(points) <= limit:
                 break
         return points
 
-    def _band(self, dense: Array, push: float, pull: float, sweeps: int) -> Array:
+    def _band(self, dense: Array, push: float, pull: float, iterations: int) -> Array:
         reach = max(self.config.inflation_radius, self.radius)
-        band = Band(reach, COST_SCALING, pull, push, sweeps)
+        band = Band(reach, COST_SCALING, pull, push, iterations)
         return relax(self.field, self.resolution, self.radius, dense, band)

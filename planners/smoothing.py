@@ -75,17 +75,17 @@ class Band(NamedTuple):
     fade: float
     pull: float
     push: float
-    sweeps: int
+    iterations: int
 
 
 @njit(cache=True)
 def relax(field: Field32, resolution: float, radius: float, path: Array, band: Band) -> Array:
     """Elastic band (Quinlan and Khatib 1993) over a dense polyline (n, 2) with fixed ends. A move that brings
     a point to `radius` is not made."""
-    reach, fade, pull, push, sweeps = band
+    reach, fade, pull, push, iterations = band
     out = path.copy()
     h = resolution
-    for _ in range(sweeps):
+    for _ in range(iterations):
         for k in range(1, len(out) - 1):
             x, y = out[k, 0], out[k, 1]
             dx = pull * (0.5 * (out[k - 1, 0] + out[k + 1, 0]) - x)

@@ -62,7 +62,7 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     with or_else(f"{store.url}: cannot be read"), suppress(NotADirectoryError):
         content = store.read(INDEX)
     if content is None:
-        raise InputError(f"{store.url}: not a finished sweep (it has no {INDEX})")
+        raise InputError(f"{store.url}: not a finished campaign (it has no {INDEX})")
     index = json.loads(content)
     partition, columns = index["partition"], index["columns"]
     with duckdb.connect() as connection:

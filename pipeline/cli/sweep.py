@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "address of a running Dask scheduler (tcp://...), or `threads` to run in this process"
     option(parser, "--scheduler", "ADDRESS", text)
     option(parser, "--workers", "N", "local processes (default: one per core)", int)
-    text = "run an SQL query on the table `runs` of a finished sweep; FILE is then its folder or its store"
+    text = "run an SQL query on the table `runs` of a finished campaign; FILE is then its folder or its store"
     option(parser, "--query", "SQL", text)
 
 

@@ -36,7 +36,7 @@ PRIOR_SHARE = 0.01
 # Width of the Cauchy kernel on the odometry, in standard deviations.
 CAUCHY = 2.0
 # The errors of one scan's points are correlated: a match is worth far less than the sum of its points.
-STEP_INFLATION = 5.0
+STEP_COVARIANCE_SCALE = 5.0
 
 
 class Prior(NamedTuple):
@@ -251,7 +251,7 @@ def contradiction(apart: Array, information: Array, seen: Array) -> float:
     `apart` (3,) is the scan's own answer relative to the prior's, `information` (3, 3) that of the prior,
     `seen` that of the scan's points. A scan contradicts nothing in directions that it hardly observes.
     """
-    sure = seen / STEP_INFLATION
+    sure = seen / STEP_COVARIANCE_SCALE
     return float(apart @ (information @ _safe_solve(information + sure, sure @ apart)))
 
 

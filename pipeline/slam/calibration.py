@@ -17,7 +17,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import (
     CAUCHY,
     LEAST_OVERLAP,
-    STEP_INFLATION,
+    STEP_COVARIANCE_SCALE,
 )
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
@@ -91,7 +91,7 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     good = overlap >= LEAST_OVERLAP
     if not good.any():
         return Calibration()
-    return _fit(steps, pairs[good], matched[good], information[good] / STEP_INFLATION)
+    return _fit(steps, pairs[good], matched[good], information[good] / STEP_COVARIANCE_SCALE)
 
 
 def _baselines(steps: Array) -> Array:

@@ -40,13 +40,13 @@ class Recognised:
 
 
 def consistency(
-    found: Sequence[Recognised], drift: Drift, reach_m: float, inflation: float
+    found: Sequence[Recognised], drift: Drift, reach_m: float, covariance_scale: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Matrices (n, n) over pairs of places: whether they can be compared at all, and whether they agree.
 
     Each place moves the newer part of the log onto the older one. If both are true, the two motions are
     nearly equal: within the covariance of the paths between them and of the places themselves (their
-    information divided by `inflation`). Beyond `reach_m`, two places cannot be compared.
+    information divided by `covariance_scale`). Beyond `reach_m`, two places cannot be compared.
     """
     n, T = len(found), drift.T_map_keys
     comparable, agree = np.zeros((n, n), dtype=bool), np.eye(n, dtype=bool)
@@ -55,7 +55,7 @@ def consistency(
     i, j = np.array([place.i for place in found]), np.array([place.j for place in found])
     moves = SE2(T[j]) @ SE2(np.array([place.T_j_i for place in found])) @ SE2(T[i]).inverse()
     at_place = (moves @ SE2(T[i])).xyt
-    own = covariances(at_place, np.arange(n), [place.information / inflation for place in found])
+    own = covariances(at_place, np.arange(n), [place.information / covariance_scale for place in found])
     turned = _about(moves)
     for a in range(n):
         others = np.arange(a + 1, n)

@@ -24,7 +24,7 @@ class Placed:
     `T_track_base` (3,) is the pose of the base at the scan's stamp: x, y [m], yaw [rad] in the frame of the
     track, which is the odometry's at the first scan (identity without odometry). `information` (3, 3) is that
     of the scan matching alone, in the base frame at that pose [1/m^2, 1/(m rad), 1/rad^2], with points taken
-    as independent (`align.STEP_INFLATION` allows for their shared errors): zero along unobservable
+    as independent (`align.STEP_COVARIANCE_SCALE` allows for their shared errors): zero along unobservable
     directions, and without the odometry, which the graph adds. `overlap` is the share 0..1 of
     the scan's points that lie on surfaces seen before, `known` the share in space seen before, `rmse` the
     error of the match [m]. `source` is the start that won, an index into `track.HYPOTHESES`. If `sure` is

@@ -36,7 +36,7 @@ from turtlebag.pipeline.slam.track import Track
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 FILE = "graph.npz"
-FORMAT = 10
+FORMAT = 11
 # Kind of each array - integers (i), numbers (f), finite numbers (n) or booleans (b) - and its shape: b beams,
 # s scans, w instants of a sweep, k keys, m steps between keys; other dimensions agree where the letter is the
 # same.

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatc
 class LoopConfig(Settings):
     """Loop closure."""
 
+    RENAMED: ClassVar = {"inflation": "covariance_scale"}
+
     enabled: bool = True
     match: Annotated[str, part_of(*MATCHERS)] = Field(
         default="lines",
@@ -58,8 +60,8 @@ class LoopConfig(Settings):
     )
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
     min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="minimum score of the search")
-    inflation: float = Field(
-        default=50.0, gt=0.0, description="covariance scale: information of a match over that of a loop"
+    covariance_scale: float = Field(
+        default=50.0, gt=0.0, description="information of a match divided by that of its loop"
     )
 
     def matcher(self) -> LoopMatch:
@@ -69,7 +71,7 @@ class LoopConfig(Settings):
 
     def constraint(self, place: Loop | Recognised) -> Constraint:
         """The constraint of a revisited place in the graph."""
-        information = place.information / self.inflation
+        information = place.information / self.covariance_scale
         return Constraint(place.j, place.i, place.T_j_i, information, "loop", CAUCHY)
 
 

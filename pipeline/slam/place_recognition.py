@@ -221,7 +221,7 @@ def _believed(
     places = [found[k] for k in good]
     if not places:
         return [], list(found)
-    comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.inflation)
+    comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.covariance_scale)
     verdicts = ["too few agree"] * len(places)
     most = ALIKE_FACTOR * _usual_violation(scans, drift) + MOST_VIOLATIONS
     feasible: list[tuple[list[int], int, float]] = []

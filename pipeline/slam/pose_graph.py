@@ -135,7 +135,7 @@ def noise_model(constraint: Constraint) -> Any:
 
 
 @cache
-def _cauchy(soft: float) -> Any:
+def _cauchy(width: float) -> Any:
     import gtsam
 
-    return gtsam.noiseModel.mEstimator.Cauchy.Create(soft)
+    return gtsam.noiseModel.mEstimator.Cauchy.Create(width)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
-from turtlebag.pipeline.slam.align import NEIGHBOURS, STEP_INFLATION
+from turtlebag.pipeline.slam.align import NEIGHBOURS, STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
@@ -112,8 +112,10 @@ def calibrate_ranges(
     for _ in range(ROUNDS):
         moved = RangeCalibration(*value).moved(clouds)
         h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE)
-        value = value - np.linalg.solve(h / STEP_INFLATION + prior, g / STEP_INFLATION + prior @ value)
-    significant = value @ (h / STEP_INFLATION) @ value > CHANCE
+        value = value - np.linalg.solve(
+            h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
+        )
+    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > CHANCE
     return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
 
 
@@ -124,7 +126,7 @@ def _equations(
     """Normal equations (2, 2), (2,) of offset and square; the relative pose and scale of each pair are
     eliminated."""
     h, g, straight = np.zeros((2, 2)), np.zeros(2), _straight(clouds, keys)
-    information = STEP_INFLATION / TURN_SHARE**2
+    information = STEP_COVARIANCE_SCALE / TURN_SHARE**2
     for k in range(len(pairs)):
         a, b = pairs[k, 0], pairs[k, 1]
         tx, ty, dyaw = relative_pose(poses, a, b)

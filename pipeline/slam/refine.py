@@ -23,7 +23,7 @@ from turtlebag.pipeline.slam.align import (
     CAUCHY,
     LEAST_OVERLAP,
     NEIGHBOURS,
-    STEP_INFLATION,
+    STEP_COVARIANCE_SCALE,
     SURFACE_VAR,
     _safe_solve,
     add_equation,
@@ -140,7 +140,7 @@ def pair_constraints(
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
     relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, limits)
     return [
-        Constraint(int(i), int(j), relative[k], information[k] / STEP_INFLATION, "pair", CAUCHY)
+        Constraint(int(i), int(j), relative[k], information[k] / STEP_COVARIANCE_SCALE, "pair", CAUCHY)
         for k, (i, j) in enumerate(pairs)
         if overlap[k] >= LEAST_OVERLAP
     ]

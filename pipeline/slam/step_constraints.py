@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.pipeline.slam.align import CAUCHY, STEP_INFLATION
+from turtlebag.pipeline.slam.align import CAUCHY, STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.icp_odometry import STEADY_SHARE
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
@@ -27,7 +27,7 @@ def step_constraints(
     matched = T.steps()
     constraints = []
     for k, step in enumerate(matched):
-        seen = track.information[track.keys[k + 1]] / STEP_INFLATION
+        seen = track.information[track.keys[k + 1]] / STEP_COVARIANCE_SCALE
         constraints.append(Constraint(k, k + 1, step, seen, "step"))
         if track.odometry_steps is None or so_far[k + 1] > so_far[k]:
             # the front end assumed a constant velocity there; without any constraint the graph falls apart

@@ -26,7 +26,7 @@ from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor
 from turtlebag.pipeline.slam3d.sensor_setup import MAX_SLOPE_RAD
-from turtlebag.pipeline.slam3d.surfels import GATE_VOXELS, INFLATION, observable
+from turtlebag.pipeline.slam3d.surfels import COVARIANCE_SCALE, GATE_VOXELS, observable
 
 REACH_VOXELS, RETURN_VOXELS = 5.0, 25.0
 """How far off a key may lie to be aligned from where it is, and the way since that makes a return."""
@@ -61,7 +61,10 @@ class CloudLoops(LoopSearch):
         known: Sequence[Constraint] = (),
     ) -> None:
         config = LoopConfig(
-            every=every, min_path_m=RETURN_VOXELS * voxel, reach_m=REACH_VOXELS * voxel, inflation=INFLATION
+            every=every,
+            min_path_m=RETURN_VOXELS * voxel,
+            reach_m=REACH_VOXELS * voxel,
+            covariance_scale=COVARIANCE_SCALE,
         )
         part = np.zeros(len(keys), dtype=np.int64)
         super().__init__(se3.planar(T_map_keys), steps, config, part, known)
@@ -98,7 +101,7 @@ class CloudLoops(LoopSearch):
         found = self._alike(drift)
         good = [k for k, loop in enumerate(found) if loop.accepted]
         planar = [_from_above(found[k]) for k in good]
-        comparable, agree = consistency(planar, drift, np.inf, INFLATION)
+        comparable, agree = consistency(planar, drift, np.inf, COVARIANCE_SCALE)
         believed: list[list[int]] = []
         for members in agreeing_sets(planar, agree & comparable):
             verdict = "too few agree" if support(planar, members) < SUPPORT else "accepted"

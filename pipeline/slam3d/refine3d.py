@@ -12,7 +12,13 @@ from turtlebag.pipeline.slam.align import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.refine import RefineConfig, in_rounds, overlapping_pairs
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
-from turtlebag.pipeline.slam3d.surfels import GATE_VOXELS, INFLATION, KERNEL_M, LEAST_OVERLAP, observable
+from turtlebag.pipeline.slam3d.surfels import (
+    COVARIANCE_SCALE,
+    GATE_VOXELS,
+    KERNEL_M,
+    LEAST_OVERLAP,
+    observable,
+)
 
 RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""
@@ -42,7 +48,7 @@ def refine(
             guess = se3.inverse(poses[i]) @ poses[j]
             result = places.fit(i, keys.points(j, POINTS), guess, gate)
             if result.overlap >= LEAST_OVERLAP:
-                information = observable(result.information) / INFLATION
+                information = observable(result.information) / COVARIANCE_SCALE
                 found.append(Constraint(i, j, result.T, information, "pair", CAUCHY))
         return found
 

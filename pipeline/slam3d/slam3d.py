@@ -31,7 +31,7 @@ from turtlebag.pipeline.slam3d.refine3d import refine, reregistered
 from turtlebag.pipeline.slam3d.selfcheck3d import SelfCheck3d, check_map
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup, find_setup
 from turtlebag.pipeline.slam3d.slices import SLICE_REACH_M, SliceConfig, SliceGrid
-from turtlebag.pipeline.slam3d.surfels import INFLATION, LEAST_OVERLAP, observable
+from turtlebag.pipeline.slam3d.surfels import COVARIANCE_SCALE, LEAST_OVERLAP, observable
 from turtlebag.pipeline.slam3d.sweeps import Sweep, sweeps_of
 
 HOLD = np.array([0.1, 0.1, 0.2, 0.3, 0.3, 0.3])
@@ -145,7 +145,7 @@ def step_constraints(track: Track3d) -> list[Constraint]:
     T, constraints = track.T[track.keys], []
     for k in range(len(track.keys) - 1):
         step = se3.inverse(T[k]) @ T[k + 1]
-        seen = observable(track.information[k + 1]) / INFLATION
+        seen = observable(track.information[k + 1]) / COVARIANCE_SCALE
         constraints.append(Constraint(k, k + 1, step, seen + np.diag(HOLD**-2), "step"))
         if track.T_odom is not None:
             a, b = track.T_odom[track.keys[k]], track.T_odom[track.keys[k + 1]]

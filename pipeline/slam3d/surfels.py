@@ -142,7 +142,7 @@ LEAST_OVERLAP = 0.35
 KERNEL_M, GATE_VOXELS = 0.03, 0.7
 """Width of the Geman-McClure weight of a distance; the largest distance that counts once a pose is nearly
 right."""
-INFLATION = 50.0
+COVARIANCE_SCALE = 50.0
 """The errors of points are correlated, so their sum counts this many times less."""
 LOOSE = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3] * 2)
 
@@ -175,7 +175,7 @@ def fit(
     if len(seen.points) == 0 or len(surfels.means) == 0:
         return Fit(T_guess, np.zeros((6, 6)), 0.0, 0.0, motion)
     T, xi, width = T_guess, motion, gate
-    anchor = (INFLATION / prior**2)[: 6 if motion is None else 12]
+    anchor = (COVARIANCE_SCALE / prior**2)[: 6 if motion is None else 12]
     away = np.zeros(len(anchor))
     for iteration in range(iterations):
         still = seen

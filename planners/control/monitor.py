@@ -23,7 +23,7 @@ REACTION_S = 0.1
 class CollisionMonitor:
     """Limits commands to those that can still be stopped in time.
 
-    Two witnesses: the points of the last sweep, and (localised) a clearance field with the
+    Two sources of evidence: the points of the last sweep, and (localised) a clearance field with the
     keep-out areas that no lidar sees.
     """
 

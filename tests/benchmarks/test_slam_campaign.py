@@ -90,11 +90,11 @@ def test_every_number_of_the_sensitivity_study_is_one_there_is():
 
 def test_a_constant_is_multiplied_wherever_it_is_read(monkeypatch):
     multiply_constant("correspondences.FINE.sigma", 2.0, monkeypatch.setattr)
-    multiply_constant("align.STEP_INFLATION", 0.5, monkeypatch.setattr)
+    multiply_constant("align.STEP_COVARIANCE_SCALE", 0.5, monkeypatch.setattr)
     for module in (correspondences, refine, range_calibration, calibration, scan_poses):
         assert module.FINE == (0.1, 0.06, 15, 10**6)
     for module in (align, refine, range_calibration, calibration, step_constraints):
-        assert module.STEP_INFLATION == 2.5
+        assert module.STEP_COVARIANCE_SCALE == 2.5
 
 
 def test_the_detector_has_five_hundred_maps_and_two_halves_of_ten_kinds_and_more():

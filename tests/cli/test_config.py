@@ -143,6 +143,7 @@ def test_a_section_is_told_to_be_keys_and_values():
     [
         (NavigateConfig, "takeover.monitor=false", "takeover: is now called teleop_override"),
         (NavigateConfig, "relocalise.tell_apart=9", "relocalise.tell_apart: is now called disambiguate"),
+        (SlamConfig, "loops.inflation=9", "loops.inflation: is now called covariance_scale"),
         (SlamConfig, "recall.enabled=false", "recall: is now called place_recognition"),
         (SlamConfig, "posing.enabled=false", "posing: is now called reregistration"),
     ],

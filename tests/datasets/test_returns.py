@@ -50,9 +50,9 @@ def test_a_reading_at_range_max_or_past_it_is_no_return_to_anyone(corridor, valu
     for name in ("points", "silent_directions"):
         beams = [getattr(prepare(one.scan(3), log.T_base_lidar), name) for one in (log, corridor)]
         np.testing.assert_array_equal(*beams)
-    sights = [seen(one.scan(3)) for one in (log, corridor)]
-    np.testing.assert_array_equal(sights[0].hits_odom, sights[1].hits_odom)
-    np.testing.assert_array_equal(sights[0].passes_odom, sights[1].passes_odom)
+    scans = [seen(one.scan(3)) for one in (log, corridor)]
+    np.testing.assert_array_equal(scans[0].hits_odom, scans[1].hits_odom)
+    np.testing.assert_array_equal(scans[0].passes_odom, scans[1].passes_odom)
 
 
 def seen(scan: Scan):

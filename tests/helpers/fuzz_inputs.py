@@ -65,7 +65,7 @@ def tree_broken(rng, tree):
         elif action == 1 and isinstance(node, list):
             node.append(copy.deepcopy(value))
         elif action == 2 and isinstance(node, dict):
-            node["surprise"] = rng.choice(WILD)
+            node["unknown"] = rng.choice(WILD)
         elif action == 3 and isinstance(value, (int, float)):
             node[last] = value * rng.choice([-1, 0, 0.01, 2, 100, 1e6])
         elif action == 4:

@@ -9,8 +9,7 @@ from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR
 from tests.localisation.filter_room import GRID, PLACE, beams_at, made
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan
-from turtlebag.pipeline.localisation import fine_pose
-from turtlebag.pipeline.localisation import push_detection as standing
+from turtlebag.pipeline.localisation import fine_pose, push_detection
 from turtlebag.pipeline.localisation.beams import prepare
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
@@ -54,7 +53,7 @@ def watched(changes, agreement=None, odometry=None):
 def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
     _, told = watched([0.0, 0.1, 0.0, 0.1, 0.1])
     assert [std is not None for std in told] == [False, False, False, False, True]
-    np.testing.assert_allclose(told[-1], [0.3, 0.3, standing.LEAST_STD], atol=0.011)
+    np.testing.assert_allclose(told[-1], [0.3, 0.3, push_detection.LEAST_STD], atol=0.011)
     # after it every scan is held against the map for a while, though the view stays as it is now
     looks = []
 
@@ -69,7 +68,7 @@ def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
     assert [k for k, std in enumerate(out) if std is not None] == [2]
     assert sorted(set(looks)) == [2, 3, 4, 5, 6, 7, 8]
     watch, told = watched([0.0, 0.1, 0.1])
-    assert (watch._alert, watch._pause, watch._next_pause) == (standing.SETTLING, 0, 0)
+    assert (watch._alert, watch._pause, watch._next_pause) == (push_detection.SETTLING, 0, 0)
     assert watch._reference[0][0] == pytest.approx(1.1)
     driven = [SE2.from_xyt(0.02 * k, 0.0, 0.0) for k in range(5)]
     assert all(std is None for std in watched([0.0, 0.1, 0.2, 0.3, 0.4], odometry=driven)[1])

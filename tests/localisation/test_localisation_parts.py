@@ -266,7 +266,7 @@ def test_a_nav2_file_is_read_and_its_strange_keys_are_named():
     assert ignored == ["base_frame_id", "laser_model_type", "robot_model_type"]
     config = AmclConfig(**known)
     assert (config.alpha1, config.kld_err) == (0.2, 0.05)
-    with pytest.raises(InputError, match="no amcl"):
+    with pytest.raises(InputError, match="has no section `amcl"):
         read_nav2({"amcl": {}}, where="x.yaml")
 
 

@@ -286,7 +286,7 @@ def test_a_step_and_its_covariance_are_the_kalman_filters(seed):
 
 
 @pytest.mark.slow
-def test_a_correction_is_as_surprising_as_it_was_expected():
+def test_the_nis_of_a_correction_is_as_expected():
     P = covariance(3, 5)
     # As the filter hands them over: the corner of all that it knows.
     less, same = (np.pad(share * P, (0, 2))[:3, :3] for share in (0.3, 1.0))

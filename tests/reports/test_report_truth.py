@@ -1,4 +1,4 @@
-"""A report judges by the truth and says beside it what the robot believed; stages have telling names."""
+"""A report judges by the truth and says beside it what the robot believed; stages have descriptive names."""
 
 import re
 from pathlib import Path

@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.align import (
     NO_PRIOR,
     PRIOR_SHARE,
     SAME_PARTNERS,
-    STEP_INFLATION,
+    STEP_COVARIANCE_SCALE,
     SURFACE_VAR,
     Prior,
     _safe_solve,
@@ -199,16 +199,16 @@ def test_a_step_weighs_the_scan_against_the_prior(seed):
     information = 500.0 * random_information(seed + 10)
     seen = observable(h, faked)
     toward = -seen @ np.linalg.solve(h, g)
-    for soft in (0.0, 1.5):
+    for cauchy in (0.0, 1.5):
         # the error of the pose as the prior's pose sees it, in the frame of the base
         e = (SE2(np.array([0, 0, -pose[2]])) @ (pose[:2] - prior[:2])).tolist()
         e = np.array([*e, math.remainder(pose[2] - prior[2], 2 * math.pi)])
         # both variances together, by what the points of a scan share
-        d, sure = e - np.linalg.solve(h, g), seen / STEP_INFLATION
-        q = d @ np.linalg.solve(np.linalg.inv(information) + np.linalg.pinv(sure), d) if soft else 0.0
-        w = PRIOR_SHARE / (1.0 + (q / soft**2 if soft else 0.0))
+        d, sure = e - np.linalg.solve(h, g), seen / STEP_COVARIANCE_SCALE
+        q = d @ np.linalg.solve(np.linalg.inv(information) + np.linalg.pinv(sure), d) if cauchy else 0.0
+        w = PRIOR_SHARE / (1.0 + (q / cauchy**2 if cauchy else 0.0))
         expected = np.linalg.solve(seen + w * information, toward - w * information @ e)
-        found = _step(h, faked, g, pose, Prior(prior, information, soft))
+        found = _step(h, faked, g, pose, Prior(prior, information, cauchy))
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
     alone = _step(h, faked, g, pose, Prior(prior, np.zeros((3, 3)), 1.5))
     np.testing.assert_allclose(seen @ alone, toward, rtol=1e-3, atol=1e-3)
@@ -360,15 +360,15 @@ def judged_plainly(steps, poses, seen, noise):
         if k > 0:
             first, last = max(k - RECENT, 0), k - 1
             sigma = noise.information(told[last])[0, 0] ** -0.5
-            surprising = abs(error[last][0]) > CONTRADICTION_SIGMAS * sigma
-            if np.hypot(*step[:2]) > 2.0 * noise.floor and not surprising:
+            contradicted = abs(error[last][0]) > CONTRADICTION_SIGMAS * sigma
+            if np.hypot(*step[:2]) > 2.0 * noise.floor and not contradicted:
                 lies = 0
             along = np.zeros((3, 3))
             along[0, 0] = noise.information(told[first])[0, 0]
             longer = max(abs(told[first][0]), abs(told[first][0] + error[first][0]))
             gross = abs(error[first][0]) > GROSS * longer
             apart = contradiction(error[first], along, seen[k]) > CONTRADICTION_SIGMAS**2
-            lies += bool(surprising and gross and apart)
+            lies += bool(contradicted and gross and apart)
         said.append(lies < SEVERAL)
     return said
 

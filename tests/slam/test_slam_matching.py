@@ -10,7 +10,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.align import (
     FAKED,
-    STEP_INFLATION,
+    STEP_COVARIANCE_SCALE,
     Prior,
     align,
     observable,
@@ -233,7 +233,7 @@ def test_pairs_know_their_relative_pose(room):
     assert overlap.min() > 0.6
     assert np.linalg.eigvalsh(information[0])[0] > 1.0
     found = pair_constraints(clouds, np.arange(5), SE2(off), pairs, limits)
-    np.testing.assert_allclose(found[0].information * STEP_INFLATION, information[0])
+    np.testing.assert_allclose(found[0].information * STEP_COVARIANCE_SCALE, information[0])
 
 
 def test_partners_are_spread_over_the_visits():

@@ -131,11 +131,11 @@ def test_a_prior_that_the_scan_contradicts_gives_way():
     clouds = make_clouds(recording(ROOM, poses), 30.0)
     lying = truth + np.array([0.3, -0.2, 0.1])
     found = {
-        soft: align(
+        cauchy: align(
             clouds, 2, truth, np.arange(2), poses[:2], Limits(0.3, 0.05, 20),
-            Prior(lying, np.diag([1e7, 1e7, 1e7]), soft),
+            Prior(lying, np.diag([1e7, 1e7, 1e7]), cauchy),
         ).T_map_base.xyt
-        for soft in (0.0, 2.0)
+        for cauchy in (0.0, 2.0)
     }  # fmt: skip
     assert np.abs(found[2.0] - truth).max() < 0.01
     assert np.abs(found[0.0] - truth).max() > 0.1

@@ -5,7 +5,7 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
-from turtlebag.pipeline.slam.align import STEP_INFLATION, contradiction
+from turtlebag.pipeline.slam.align import STEP_COVARIANCE_SCALE, contradiction
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, distrusted, unobserved_way
 from turtlebag.pipeline.slam.track import OdometryNoise, Track
@@ -129,7 +129,7 @@ def test_a_contradiction_is_in_standard_deviations_of_both(seed):
     rng = np.random.default_rng(seed)
     a, b = (m.T @ m for m in rng.normal(size=(2, 5, 3)))
     apart = rng.normal(size=3)
-    both = np.linalg.inv(a) + STEP_INFLATION * np.linalg.inv(b)
+    both = np.linalg.inv(a) + STEP_COVARIANCE_SCALE * np.linalg.inv(b)
     assert contradiction(apart, a, b) == pytest.approx(apart @ np.linalg.solve(both, apart), rel=1e-3)
     blind = b - np.outer(b[0], b[0]) / b[0, 0]
     assert contradiction(np.array([1.0, 0.0, 0.0]), a, blind) == pytest.approx(0.0, abs=1e-6)

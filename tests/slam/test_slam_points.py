@@ -13,7 +13,7 @@ from benchmarks.slam_scores import errors
 from tests.helpers.made_logs import arena, posts
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.slam.align import STEP_INFLATION
+from turtlebag.pipeline.slam.align import STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.open3d_icp import POINT_SIGMA_M, match_points
@@ -187,7 +187,7 @@ def test_a_step_knows_what_the_scan_at_its_end_saw():
     seen = np.arange(1.0, 7.0)[:, None, None] * np.diag([1e4, 2e4, 3e4])
     track = Track(poses, keys, 1.0 + none, none, seen, np.zeros(6, np.int8), None, Calibration(), none == 0)
     steps = [c for c in step_constraints(track, TrackingConfig()) if c.kind == "step"]
-    np.testing.assert_allclose([c.information for c in steps], seen[[2, 5]] / STEP_INFLATION)
+    np.testing.assert_allclose([c.information for c in steps], seen[[2, 5]] / STEP_COVARIANCE_SCALE)
 
 
 def test_wheels_that_were_not_believed_have_no_say_of_steps_that_scans_are_blind_in():

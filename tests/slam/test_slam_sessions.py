@@ -55,7 +55,7 @@ def test_a_second_session_of_three_metres_joins():
 
 def test_odometry_alone_does_not_tell_where_a_second_session_lies():
     a, b = (recording(ROOM, poses[:20], odometry=poses[:20]) for poses in (FIRST, SECOND))
-    with pytest.raises(InputError, match="joining it to .* needs scans"):
+    with pytest.raises(InputError, match=r"joining it to .* needs scans"):
         run_slam(a, SlamConfig(sensors="odometry"), more=[b])
 
 

@@ -142,10 +142,10 @@ def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
 @pytest.mark.parametrize("sql", ["", ";", "-- nothing"])
 def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
     store = Store(str(tmp_path))
-    with pytest.raises(InputError, match="not a finished sweep"):
+    with pytest.raises(InputError, match="not a finished campaign"):
         query(store, "SELECT 1")
     (tmp_path / "sweep.yaml").touch()
-    with pytest.raises(InputError, match="not a finished sweep"):
+    with pytest.raises(InputError, match="not a finished campaign"):
         query(Store(str(tmp_path / "sweep.yaml")), "SELECT 1")
     write_table([{"size": 1, "failed": False}], "failed", store)
     assert query(store, "SELECT size FROM runs") == (["size"], [(1,)])

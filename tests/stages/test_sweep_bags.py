@@ -151,7 +151,7 @@ def test_a_table_is_a_file_for_each_level_and_whole_only_with_its_index(place):
     assert query(store, sql)[1] == [(0.25, 1), (0.5, 2)]
     assert query(store, "SELECT * FROM runs")[0] == ["case", "rate", "good", "why"]
     store.delete("results.json")
-    with pytest.raises(InputError, match="not a finished sweep"):
+    with pytest.raises(InputError, match="not a finished campaign"):
         query(store, sql)
 
 

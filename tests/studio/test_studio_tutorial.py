@@ -125,7 +125,7 @@ def test_the_tutorial_in_the_window(browser, tmp_path):
         click(browser, "[data-do=map_load] button")
         until(lambda: shown_text(browser, "advice").startswith("Where is the robot?"), 60.0)
 
-        click(browser, "#pause")  # or the robot would have mended it before one looks
+        click(browser, "#pause")  # or the robot would have corrected it before one looks
         until(lambda: person.head["paused"])
         x, y, yaw = person.head["true_pose"]
         person.arrow("p", x + 0.2, y + 0.22, yaw + math.radians(20))
