@@ -62,7 +62,7 @@ def read_trajectory_3d(path: Path, times: Path | None, scans_ns: Stamps) -> Traj
     if len(first) == 12 and not csv:
         return Trajectory3D(_kitti_stamps(lines, times, scans_ns), _kitti(lines))
     if times is not None:
-        raise InputError(f"{path}: has its own stamps; leave out --rival-times")
+        raise InputError(f"{path}: has its own stamps; leave out --system-times")
     if csv:
         rows = lines.numbers(8, "'t [ns], x, y, z, qw, qx, qy, qz, ...'", at_least=True)
         return Trajectory3D(_nanoseconds(lines), _poses(lines, rows[:, 1:4], rows[:, [5, 6, 7, 4]]))
@@ -113,7 +113,7 @@ def _kitti_stamps(poses: NumberLines, times: Path | None, scans_ns: Stamps) -> S
             return scans_ns
         raise InputError(
             f"{path}: KITTI poses have no times, and {count} poses do not match {len(scans_ns)} scans; "
-            "give their times (seconds, one per line) with --rival-times"
+            "give their times (seconds, one per line) with --system-times"
         )
     lines = NumberLines.read(times)
     if len(lines.lines) != count:

@@ -100,9 +100,9 @@ class Chapter:
 
     @property
     def metrics(self) -> Mapping[str, Mapping[str, Any]]:
-        """Its numbers by stage, those of other systems under `rivals`."""
+        """Its numbers by stage, those of other systems under `systems`."""
         numbers = {part.stage.label: part.metrics for part in self.parts}
-        return numbers if self.systems is None else {**numbers, "rivals": self.systems.metrics}
+        return numbers if self.systems is None else {**numbers, "systems": self.systems.metrics}
 
 
 def build_chapter(

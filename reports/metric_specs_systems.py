@@ -105,5 +105,5 @@ EVO = {
     "rpe_frame.trans_m.rmse": "evo_rpe -d 1 -u f",
     "rpe_frame.rot_deg.rmse": "evo_rpe -d 1 -u f -r angle_deg",
 }
-"""What prints a number as its rmse, of the two files of a system in `rivals/`."""
+"""What prints a number as its rmse, of the two files of a system in `systems/`."""
 NOT_JUDGED = ("poses", "paired", "coverage", "relations.n", "ours_there.ate_aligned_m.rmse")

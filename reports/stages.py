@@ -18,8 +18,8 @@ from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import sha256_file, sha256_tree
-from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
@@ -49,7 +49,7 @@ class Manifest(BaseModel):
     inputs: dict[str, Input] = {}
     outputs: dict[str, str] = {}
     folders: dict[str, str] = {}
-    rivals: list[RivalFiles] = []
+    systems: list[SystemFiles] = []
     packages: dict[str, str] = {}
     python: str = "?"
     world: str | None = None

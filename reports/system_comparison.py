@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypedDict
 
-from turtlebag.datasets.rivals import OURS
+from turtlebag.datasets.other_systems import OURS
 from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
@@ -92,7 +92,7 @@ class SystemComparison:
         more = spec.path.rpartition(".")[2] in MORE_IS_BETTER
         best = (max if more else min)(known)[1] if judged else None
         cells = [
-            Cell(f"rivals:systems.{name}.{spec.path}", value, text, text == best)
+            Cell(f"systems:systems.{name}.{spec.path}", value, text, text == best)
             for name, value, text in zip(self.names, values, texts, strict=True)
         ]
         return Row(spec, EVO.get(spec.path, ""), cells)

@@ -37,7 +37,7 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
             for part in chapter.parts:
                 writer.writerows([chapter.name, part.stage.label, *row] for row in _rows(part))
             if chapter.systems is not None:
-                writer.writerows([chapter.name, "rivals", *row] for row in _system_rows(chapter.systems))
+                writer.writerows([chapter.name, "systems", *row] for row in _system_rows(chapter.systems))
     for chapter in chapters:
         _write_systems(chapter, folder)
         for part in chapter.parts:
@@ -71,7 +71,7 @@ def _write_systems(chapter: Chapter, folder: Path) -> None:
     ]
     head = ("number", *(latex(name) for name in chapter.systems.names))
     columns = "l" + "r" * len(chapter.systems.names)
-    (folder / f"{slug(chapter.name)}-rivals.tex").write_text(latex_table(head, found, columns))
+    (folder / f"{slug(chapter.name)}-systems.tex").write_text(latex_table(head, found, columns))
 
 
 def _system_rows(comparison: SystemComparison) -> Iterator[list[Any]]:

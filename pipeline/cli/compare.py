@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.cli.arguments import add_output, option, output
-from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
+from turtlebag.pipeline.cli.other_systems import add_system_options, existing_files, systems_named
 from turtlebag.pipeline.terminal.messages import print_table
 
 if TYPE_CHECKING:
@@ -27,13 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and maps (yaml), the two of one system under one NAME"
     )
     option(parser, "b", "B|[NAME=]FILE", text, nargs="+")
-    add_rival_options(parser)
-    add_output(parser, "also write a page with pictures", required=False)
+    add_system_options(parser)
+    add_output(parser, "also write a page with figures", required=False)
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:
     """The inputs."""
-    return [*([args.a] if args.a.exists() else []), *existing_rivals(args.b, args)]
+    return [*([args.a] if args.a.exists() else []), *existing_files(args.b, args)]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,18 +52,20 @@ def run(args: argparse.Namespace) -> int:
 
 def make(args: argparse.Namespace) -> Comparison | SystemComparison:
     """The comparison of two outputs, or of ours and other systems'."""
-    from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
+    from turtlebag.pipeline.stages.compare import compare_outputs, compare_with_systems
 
     for word in args.b:
         if "=" not in word and not Path(word).exists():
             raise InputError(f"{word}: no such output, trajectory or map")
     out = None if args.out is None else output(args)
     if not any(Path(word).is_dir() for word in args.b):
-        return compare_rivals(args.a, rivals(args.b, args), out)
+        return compare_with_systems(args.a, systems_named(args.b, args), out)
     if len(args.b) > 1:
         raise InputError("compare takes two outputs, or one output and files of other systems")
-    if args.rival_base or args.rival_times or args.rival_shift:
-        raise InputError(f"{args.b[0]}: is an output of ours; --rival options are for others' files")
+    if args.system_base or args.system_times or args.system_shift:
+        raise InputError(
+            f"{args.b[0]}: is an output of turtlebag; --system options apply only to files of other systems"
+        )
     return compare_outputs(args.a, Path(args.b[0]), out)
 
 

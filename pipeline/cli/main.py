@@ -45,7 +45,11 @@ VERBS = {
     "completion": "print a script that completes commands in your shell",
 }
 
-RENAMED = {"blame": "ablate", "--takeover": "--teleop-override"}
+RENAMED = {
+    "blame": "ablate",
+    "--takeover": "--teleop-override",
+    **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
+}
 """Present names of verbs and options by their former ones, for the error that a former one is."""
 
 EXIT_OK, EXIT_INPUT = 0, 2

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import REPEATED, add_output, flag, option, output
-from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
+from turtlebag.pipeline.cli.other_systems import add_system_options, existing_files, systems_named
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
@@ -19,14 +19,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     flag(parser, "--index", "make a sortable table of all outputs below DIR instead")
     flag(parser, "--no-animation", "leave out the animations, for a smaller page")
     text = "file of another system to show next to ours (see compare); may be repeated"
-    option(parser, "--rival", "[NAME=]FILE", text, **REPEATED)
-    add_rival_options(parser)
+    option(parser, "--system", "[NAME=]FILE", text, **REPEATED)
+    add_system_options(parser)
     add_output(parser)
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:
     """The inputs: for an index, those found below the folders, which may also hold the index."""
-    return [] if args.index else [*args.folders, *existing_rivals(args.rival, args)]
+    return [] if args.index else [*args.folders, *existing_files(args.system, args)]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,9 +40,9 @@ def make(args: argparse.Namespace) -> Path:
     from turtlebag.pipeline.stages.report import make_index, make_report
 
     if args.index:
-        for name in ("paper", "no_animation", "rival"):
+        for name in ("paper", "no_animation", "system"):
             if getattr(args, name):
                 raise InputError(f"--{name.replace('_', '-')}: has no effect with --index; remove it")
         return make_index(args.folders, output(args))
-    others, animate = rivals(args.rival, args), not args.no_animation
-    return make_report(args.folders, output(args), rivals=others, animate=animate, paper=args.paper)
+    others, animate = systems_named(args.system, args), not args.no_animation
+    return make_report(args.folders, output(args), others=others, animate=animate, paper=args.paper)

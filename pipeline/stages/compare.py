@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.plurals import counted
-from turtlebag.datasets.rivals import RivalFiles
-from turtlebag.pipeline.stages.rivals import inputs_of, measured, ours_of
+from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
 from turtlebag.reports.content import BAD, GOOD
 from turtlebag.reports.figures.album import Album
@@ -39,19 +39,21 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
     return found
 
 
-def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None = None) -> SystemComparison:
+def compare_with_systems(
+    folder: Path, files: Sequence[SystemFiles], out: Output | None = None
+) -> SystemComparison:
     """An output of ours beside what other systems made of the same recording.
 
-    With `out` also `index.html`, `figures/*.png`, `rivals/*.tum`, `metrics.json` and the manifest.
+    With `out` also `index.html`, `figures/*.png`, `systems/*.tum`, `metrics.json` and the manifest.
     """
     stage = ours_of([load_stage(folder)])
     known, systems = measured(stage, files)
     if out is None:
-        return compare_systems(systems, known, Album(None), "rivals")
+        return compare_systems(systems, known, Album(None), "systems")
     with out.staged() as partial:
-        found = compare_systems(systems, known, Album(partial / "figures"), "rivals")
-        page = fill("rivals.html.j2", recording=stage.folder.resolve().name, found=found)
+        found = compare_systems(systems, known, Album(partial / "figures"), "systems")
+        page = fill("compare_systems.html.j2", recording=stage.folder.resolve().name, found=found)
         (partial / "index.html").write_text(page)
-        write_pairs(systems, partial / "rivals")
+        write_pairs(systems, partial / "systems")
         out.finish(partial, "compare", {"ours": folder, **inputs_of(files)}, metrics=found.metrics)
     return found

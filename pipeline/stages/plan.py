@@ -87,7 +87,7 @@ def plan(
     times: dict[str, float] = {config.plan.name: planning_s}
     if compare:
         metrics["planners"] = []
-        for other in rivals(config):
+        for other in planners_to_compare(config):
             name = other.plan.name
             others[name], why, times[name] = search(costmap, query, other)
             metrics["planners"].append(plan_metrics(costmap, query.robot, others[name], why, other))
@@ -131,7 +131,7 @@ def planner_settings(name: str | None) -> list[str]:
     return [f"plan.planner={name}"]
 
 
-def rivals(config: PlanStageConfig) -> list[PlanStageConfig]:
+def planners_to_compare(config: PlanStageConfig) -> list[PlanStageConfig]:
     """The same settings with every planner that the space allows, the chosen one among them."""
     out = [config] if is_own(config.plan.planner) else []
     for planner in get_args(PlannerName):

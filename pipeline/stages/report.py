@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.rivals import RivalFiles
-from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, remembered
+from turtlebag.pipeline.stages.other_systems import for_manifest, inputs_of, measured_in
 from turtlebag.pipeline.terminal.messages import drawing
 from turtlebag.reports.content import BAD, GOOD, build_chapter
 from turtlebag.reports.figures.album import Album
@@ -28,7 +28,7 @@ def make_report(
     folders: Sequence[Path],
     out: Output,
     *,
-    rivals: Sequence[RivalFiles] = (),
+    others: Sequence[SystemFiles] = (),
     animate: bool = True,
     paper: bool = False,
 ) -> Path:
@@ -38,20 +38,20 @@ def make_report(
 
     `folders` are finished outputs of record, map and navigate in any number and order; those that
     share a world or data files by hash are shown together. `paper` adds each figure as PDF and SVG.
-    `rivals` are shown beside ours. InputError for anything that is not such an output, and for rivals
-    on more than one world or log.
+    `others` are shown beside ours. InputError for anything that is not such an output, and for other
+    systems on more than one world or log.
     """
     groups = group_stages([load_stage(folder) for folder in folders])
-    known, systems = measured_in(groups, rivals) if rivals else (NO_REFERENCES, [])
-    files = inputs_of(rivals)
+    known, systems = measured_in(groups, others) if others else (NO_REFERENCES, [])
+    files = inputs_of(others)
     with out.staged([*folders, *files.values()]) as partial:
         with drawing() as told:
             album = Album(partial / "figures", animate=animate, paper=paper, told=told)
             chapters = [build_chapter(group, album) for group in groups]
             if systems:
-                shown = compare_systems(systems, known, album, f"{chapters[0].anchor}-rivals")
+                shown = compare_systems(systems, known, album, f"{chapters[0].anchor}-systems")
                 chapters = [replace(chapters[0], systems=shown)]
-                write_pairs(systems, partial / "rivals")
+                write_pairs(systems, partial / "systems")
         (partial / "index.html").write_text(render(chapters, groups))
         write_tables(chapters, partial / "tables")
         stages = [stage for group in groups for stage in group.stages]
@@ -61,7 +61,7 @@ def make_report(
         inputs = {f"{group.name}/{stage.label}": stage.folder for group in groups for stage in group.stages}
         # A report moved together with its inputs still finds them.
         places = {name: os.path.relpath(folder, out.folder) for name, folder in inputs.items()}
-        extra = {"folders": places, "rivals": remembered(rivals, out.folder)}
+        extra = {"folders": places, "systems": for_manifest(others, out.folder)}
         out.finish(partial, "report", inputs | files, metrics=numbers, extra=extra)
     return out.folder / "index.html"
 

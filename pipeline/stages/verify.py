@@ -17,6 +17,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.stages.other_systems import MARK, from_manifest, inputs_of, measured_in
 from turtlebag.pipeline.stages.recompute import (
     TRUTH_AGREES_M,
     Check,
@@ -25,7 +26,6 @@ from turtlebag.pipeline.stages.recompute import (
     robot_of,
     truth_disagreement,
 )
-from turtlebag.pipeline.stages.rivals import MARK, inputs_of, measured_in, recalled
 from turtlebag.pipeline.stages.run_again import Run, places_of, remade
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
@@ -103,8 +103,8 @@ def verify(report: Path, run: Run | None = None) -> Verification:
                 found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
                 continue
             _check_stage(stage, group, metrics, places, run, found)
-    rivals = _check_rivals(report, manifest, groups, reported, found) if manifest.rivals else None
-    _check_texts(_file(report, "index.html"), groups, rivals, found)
+    systems = _check_systems(report, manifest, groups, reported, found) if manifest.systems else None
+    _check_texts(_file(report, "index.html"), groups, systems, found)
     return found
 
 
@@ -166,14 +166,14 @@ def _check_stage(
     _keep(done, found)
 
 
-def _check_rivals(
+def _check_systems(
     report: Path, manifest: Manifest, groups: list[Group], reported: Mapping[str, Any], found: Verification
 ) -> SystemComparison | None:
-    """The rivals read and measured again; what the report should say of them, None when they cannot be."""
+    """The other systems measured again: what the report should say of them, None when they cannot be."""
     group = groups[0]
-    name = f"{group.name}/rivals"
+    name = f"{group.name}/systems"
     try:
-        files = recalled(manifest, report)
+        files = from_manifest(manifest, report)
         changed = [
             f"{what}: {path} changed since the report was made"
             for what, path in inputs_of(files).items()
@@ -183,8 +183,8 @@ def _check_rivals(
     except (InputError, KeyError) as error:
         found.problems.append(f"{name}: {error}")
         return None
-    expected = compare_systems(systems, known, Album(None), f"{group.name}-rivals")
-    told = reported.get(group.name, {}).get("rivals", {})
+    expected = compare_systems(systems, known, Album(None), f"{group.name}-systems")
+    told = reported.get(group.name, {}).get("systems", {})
     found.problems += changed
     if missing := {path for path, _ in leaves(expected.metrics)} - {path for path, _ in leaves(told)}:
         found.problems.append(f"{name}: not in the report's metrics.json: {', '.join(sorted(missing)[:3])}")
@@ -237,7 +237,7 @@ def _check_clearance(stage: Stage, name: str, found: Verification) -> None:
 
 
 def _check_texts(
-    page: Path, groups: list[Group], rivals: SystemComparison | None, found: Verification
+    page: Path, groups: list[Group], systems: SystemComparison | None, found: Verification
 ) -> None:
     """Everything the page says, written again from what was computed: tiles, verdicts, captions, hashes."""
     text = page.read_text()
@@ -250,8 +250,8 @@ def _check_texts(
             for stage in group.stages
         }
         chapters.append(build_chapter(group, album, measured))
-    if rivals is not None:
-        chapters = [replace(chapters[0], systems=rivals)]
+    if systems is not None:
+        chapters = [replace(chapters[0], systems=systems)]
     said, expected = words_of(text), words_of(render(chapters, groups))
     changes = difflib.SequenceMatcher(None, said, expected, autojunk=False).get_opcodes()
     for kind, a0, a1, b0, b1 in changes:

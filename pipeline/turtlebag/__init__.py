@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from turtlebag.api.making import verbose
     from turtlebag.api.online import Localiser, Mapper
+    from turtlebag.api.other_systems import System
     from turtlebag.api.outputs import Bag, Map
     from turtlebag.api.planning import Planner
     from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
-    from turtlebag.api.rivals import Rival
     from turtlebag.api.simulation import Simulator
     from turtlebag.api.steps import compare, localise, map, navigate, plan, record, report
     from turtlebag.api.tables import Table, Trajectory
@@ -36,7 +36,7 @@ _HOMES = {
     "turtlebag.api.tasks": ("Patrol", "Goal", "Avoid", "Explore"),
     "turtlebag.api.outputs": ("Bag", "Map"),
     "turtlebag.api.results": ("Localisation", "Run", "Plan", "Report", "Comparison"),
-    "turtlebag.api.rivals": ("Rival",),
+    "turtlebag.api.other_systems": ("System",),
     "turtlebag.api.tables": ("Trajectory", "Table"),
     "turtlebag.api.simulation": ("Simulator",),
     "turtlebag.api.online": ("Mapper", "Localiser"),
@@ -51,9 +51,9 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Avoid", "Bag", "Comparison", "Explore", "Goal", "InputError", "LidarSpec", "Localisation", "Localiser",
-    "Map", "Mapper", "NoPath", "Patrol", "Plan", "Planner", "Report", "Rival", "Run", "SE2", "Scan",
-    "Simulator", "Table", "Trajectory", "compare", "localise", "map", "navigate", "plan", "record", "report",
-    "verbose",
+    "Map", "Mapper", "NoPath", "Patrol", "Plan", "Planner", "Report", "Run", "SE2", "Scan",
+    "Simulator", "System", "Table", "Trajectory", "compare", "localise", "map", "navigate", "plan", "record",
+    "report", "verbose",
 ]  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.rivals import gaps
+from turtlebag.datasets.other_systems import gaps
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.figures.maps import (

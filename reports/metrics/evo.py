@@ -11,7 +11,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.datasets.rivals import covered
+from turtlebag.datasets.other_systems import covered
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.se3 import interpolate, inverse, quaternions
 from turtlebag.datasets.trajectories_3d import Trajectory3D

@@ -11,8 +11,8 @@ import numpy as np
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.other_systems import System, coverage, covered, gaps
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.rivals import System, coverage, covered, gaps
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.se3 import lifted
 from turtlebag.datasets.trajectories import stamp_text
@@ -69,15 +69,15 @@ class Measured:
     grid: OccupancyGrid | None = None
 
 
-def measure(ours: System, rivals: Sequence[System], known: References) -> list[Measured]:
-    """Ours first, then its rivals, each against the truth, or where there is none against ours.
+def measure(ours: System, others: Sequence[System], known: References) -> list[Measured]:
+    """Ours first, then the others, each against the truth, or where there is none against ours.
 
     InputError for a trajectory that cannot be paired with the reference.
     """
     reference = Trajectory3D.of(known.truth).in_time() if known.truth is not None else ours.track
     span = _span(ours)
     found: list[Measured] = []
-    for system in (ours, *rivals):
+    for system in (ours, *others):
         measured = Measured(system, Numbers(), list(system.notes))
         if system.track is not None and reference is not None and span is not None:
             measured = _measure_track(system, ours, reference, span, known.relations, known.truth is not None)
@@ -140,12 +140,12 @@ def _check_paired(name: str, track: Trajectory3D, reference: Trajectory3D, paire
     begin = seconds(int(reference.stamps_ns[0] - track.stamps_ns[0]))
     raise InputError(
         f"{name}: its poses ({theirs}) and the recording ({ours}) share {len(paired)} instants; if its clock "
-        f"has another origin, shift it: --rival-shift {name}={begin:.6f} makes both start together"
+        f"has another origin, shift it: --system-shift {name}={begin:.6f} makes both start together"
     )
 
 
 def _notes(track: Trajectory3D, paired: evo.Paired, span: tuple[int, int]) -> list[str]:
-    """What a reader must know of the stamps of a rival."""
+    """What a reader must know of the stamps of another system."""
     notes = []
     begin, end = span
     outside = int(np.sum((track.stamps_ns < begin - MATCH_NS) | (track.stamps_ns > end + MATCH_NS)))

@@ -58,13 +58,13 @@ def test_two_outputs_are_compared_as_by_the_command(tree, tmp_path, capfd):
 
 
 def test_other_systems_stand_beside_ours_by_their_names(tree, tmp_path):
-    rivals = {
-        "other": tb.Rival(tree / "other.tum", map=tree / "other.yaml"),
-        "early": tb.Rival(tree / "early.tum", shift=5.0, base=(0.1, 0.0, 0.0)),
-        "kitti": tb.Rival(tree / "kitti.txt", times=tree / "times.txt"),
+    systems = {
+        "other": tb.System(tree / "other.tum", map=tree / "other.yaml"),
+        "early": tb.System(tree / "early.tum", shift=5.0, base=(0.1, 0.0, 0.0)),
+        "kitti": tb.System(tree / "kitti.txt", times=tree / "times.txt"),
         "map": tree / "other.yaml",
     }
-    found = tb.compare(tree / "a", rivals=rivals, out=tmp_path / "beside")
+    found = tb.compare(tree / "a", systems=systems, out=tmp_path / "beside")
     assert list(found.numbers)[1:] == ["TurtleBag", "other", "early", "kitti", "map"]
     row = found.numbers["number"].tolist().index("ate_aligned_m.rmse")
     assert found.numbers["other"][row] == pytest.approx(0.03 * np.sqrt(2.0), rel=0.1)
@@ -76,41 +76,44 @@ def test_other_systems_stand_beside_ours_by_their_names(tree, tmp_path):
 
 
 def test_a_report_shows_them_and_verify_measures_them_again(tree, tmp_path):
-    rivals = {"early": tb.Rival(tree / "early.tum", shift=5.0), "other": tree / "other.yaml"}
-    report = tb.report(tree / "record", tree / "a", rivals=rivals, animate=False, out=tmp_path / "report")
-    assert set(report.metrics["room"]["rivals"]["systems"]) == {"TurtleBag", "early", "other"}
+    systems = {"early": tb.System(tree / "early.tum", shift=5.0), "other": tree / "other.yaml"}
+    report = tb.report(tree / "record", tree / "a", systems=systems, animate=False, out=tmp_path / "report")
+    assert set(report.metrics["room"]["systems"]["systems"]) == {"TurtleBag", "early", "other"}
     assert made_by_its_command(report, tmp_path)
     assert verify(tmp_path / "report").problems == []
 
 
 WRONG = {
-    "nothing": (lambda t: tb.compare(t / "a"), "^compare: give another output, or rivals"),
-    "both": (lambda t: tb.compare(t / "a", t / "b", rivals={"x": t / "other.tum"}), "^compare: give another"),
+    "nothing": (lambda t: tb.compare(t / "a"), "^compare: give another output, or other systems"),
+    "both": (
+        lambda t: tb.compare(t / "a", t / "b", systems={"x": t / "other.tum"}),
+        "^compare: give another",
+    ),
     "a number": (lambda t: tb.compare(3, t / "b"), "^output: expected a path, not a int"),
     "nothing of ours": (lambda t: tb.compare(None, t / "b"), "^output: expected a path, not None"),
     "two kinds": (lambda t: tb.compare(t / "a", t / "record"), "nothing to compare"),
-    "a list": (lambda t: tb.compare(t / "a", rivals=["x"]), "^rivals: expected a mapping .*, not a list"),
+    "a list": (lambda t: tb.compare(t / "a", systems=["x"]), "^systems: expected a mapping .*, not a list"),
     "no name": (
-        lambda t: tb.compare(t / "a", rivals={"x=y": t / "other.tum"}),
+        lambda t: tb.compare(t / "a", systems={"x=y": t / "other.tum"}),
         "^'x=y': a system's name",
     ),
-    "no file": (lambda t: tb.compare(t / "a", rivals={"x": 3}), "^rivals x: expected a path, not a int"),
-    "nothing of it": (lambda t: tb.compare(t / "a", rivals={"x": tb.Rival()}), "^x has no trajectory"),
+    "no file": (lambda t: tb.compare(t / "a", systems={"x": 3}), "^systems x: expected a path, not a int"),
+    "nothing of it": (lambda t: tb.compare(t / "a", systems={"x": tb.System()}), "^x has no trajectory"),
     "a map alone": (
-        lambda t: tb.compare(t / "a", rivals={"x": tb.Rival(map=t / "other.yaml", shift=1)}),
+        lambda t: tb.compare(t / "a", systems={"x": tb.System(map=t / "other.yaml", shift=1)}),
         "^x has no trajectory",
     ),
     "no seconds": (
-        lambda t: tb.compare(t / "a", rivals={"x": tb.Rival(t / "other.tum", shift="1 s")}),
-        "^rivals x shift: expected a number of seconds, not '1 s'",
+        lambda t: tb.compare(t / "a", systems={"x": tb.System(t / "other.tum", shift="1 s")}),
+        "^systems x shift: expected a number of seconds, not '1 s'",
     ),
     "half a pose": (
-        lambda t: tb.compare(t / "a", rivals={"x": tb.Rival(t / "other.tum", base=(1, 2))}),
-        "^rivals x base: expected three finite",
+        lambda t: tb.compare(t / "a", systems={"x": tb.System(t / "other.tum", base=(1, 2))}),
+        "^systems x base: expected three finite",
     ),
-    "our name": (lambda t: tb.compare(t / "a", rivals={"TurtleBag": t / "other.tum"}), "is taken"),
+    "our name": (lambda t: tb.compare(t / "a", systems={"TurtleBag": t / "other.tum"}), "is taken"),
     "another clock": (
-        lambda t: tb.report(t / "a", rivals={"x": tb.Rival(t / "other.tum", shift=-900.0)}),
+        lambda t: tb.report(t / "a", systems={"x": tb.System(t / "other.tum", shift=-900.0)}),
         r"shift it: shift x=-?\d",
     ),
     "no comparison": (lambda t: tb.Comparison(t / "a"), "is an output of map, not of compare"),

@@ -68,7 +68,7 @@ def test_bash_completes_verbs_options_names_and_files(complete):
         "sweep bre",
         "completion z",
         "compare there fi",
-        "report there --rival fi",
+        "report there --system fi",
     )
     assert found == [
         ["goal", "patrol", "avoid", "explore"],

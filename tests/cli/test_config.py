@@ -163,6 +163,14 @@ def test_a_former_key_names_the_present_one(model, old, new):
             "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)",
         ),
         (
+            "report data/maps/a --rival other.tum",
+            "report: --rival is now called --system (see turtlebag report --help)",
+        ),
+        (
+            "compare data/maps/a other.tum --rival-shift 1",
+            "compare: --rival-shift is now called --system-shift (see turtlebag compare --help)",
+        ),
+        (
             "navigate --world empty --task avoid --takeover=mine.yaml",
             "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)",
         ),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.rivals import RivalFiles, coverage, gaps, load_rival
+from turtlebag.datasets.other_systems import SystemFiles, coverage, gaps, load_system
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.se3 import exp, inverse, lifted, quaternions
 from turtlebag.datasets.trajectories import save_tum_3d
@@ -80,7 +80,7 @@ def test_times_have_to_fit_their_poses(tmp_path):
     with pytest.raises(InputError, match="line 1: expected one time"):
         read_trajectory_3d(tmp_path / "a.txt", tmp_path / "times", STAMPS)
     save_tum_3d(STAMPS, POSES, tmp_path / "a.tum")
-    with pytest.raises(InputError, match="leave out --rival-times"):
+    with pytest.raises(InputError, match="leave out --system-times"):
         read_trajectory_3d(tmp_path / "a.tum", tmp_path / "times", STAMPS)
 
 
@@ -99,14 +99,14 @@ def test_a_camera_s_axes_a_place_on_the_robot_and_a_clock_are_undone(tmp_path):
     T_camera_robot[:3, :3] = np.stack([-left, -up, forward])  # rows: x right, y down, z forward
     T_camera = T_camera_robot @ T_sensor @ T_camera_robot.T
     save_tum_3d(stamps - 7 * 10**9, T_camera, tmp_path / "camera.tum")
-    rival = load_rival(RivalFiles("c", tmp_path / "camera.tum", base=tuple(base.xyt), shift_s=7.0), stamps)
-    np.testing.assert_array_equal(rival.track.stamps_ns, stamps)
-    np.testing.assert_allclose(rival.track.T, inverse(lifted(base)) @ T_base, atol=1e-8)
-    assert [word in " ".join(rival.notes) for word in ("7 s", "as a camera's does", "0.2, -0.1 m")] == [
+    system = load_system(SystemFiles("c", tmp_path / "camera.tum", base=tuple(base.xyt), shift_s=7.0), stamps)
+    np.testing.assert_array_equal(system.track.stamps_ns, stamps)
+    np.testing.assert_allclose(system.track.T, inverse(lifted(base)) @ T_base, atol=1e-8)
+    assert [word in " ".join(system.notes) for word in ("7 s", "as a camera's does", "0.2, -0.1 m")] == [
         True
     ] * 3
     save_tum_3d(stamps, T_base, tmp_path / "plain.tum")
-    assert load_rival(RivalFiles("p", tmp_path / "plain.tum"), stamps).notes == ()
+    assert load_system(SystemFiles("p", tmp_path / "plain.tum"), stamps).notes == ()
 
 
 def test_gaps_are_stretches_longer_than_usual_and_do_not_count_as_covered():
@@ -128,7 +128,7 @@ def test_repeated_stamps_are_left_out_and_the_rest_is_put_in_order():
 def test_what_is_corrected_in_another_systems_trajectory_is_noted(tmp_path):
     file = tmp_path / "a.tum"
     file.write_text("".join(f"{t} {t} 0 0 0 0 0 1\n" for t in (1, 2, 2, 3)))
-    system = load_rival(RivalFiles("a", file, base=(0.5, 0.0, 0.0)), np.arange(4))
+    system = load_system(SystemFiles("a", file, base=(0.5, 0.0, 0.0)), np.arange(4))
     assert system.track is not None
     np.testing.assert_allclose(system.track.T[:, 0, 3], [0.5, 1.5, 2.5])
     assert system.notes == (

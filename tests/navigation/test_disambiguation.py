@@ -290,7 +290,7 @@ def test_where_nothing_tells_them_apart_it_roams_no_goal_counts_and_the_reason_i
     episode = run(world(cupboard=False), tmp_path, config, initial_pose="global", goal=goal)
     (outcome,) = episode.metrics["goals"]
     assert outcome["status"] != "reached"
-    # One place alone in its cloud has a rival; with both in it the robot says that it is lost.
+    # One place alone in its cloud has a competing hypothesis; with both in it the robot says that it is lost.
     assert REASON in outcome["reason"] or LOST in outcome["reason"]
     assert episode.metrics["distance_m"] > 1.0
     assert not any(episode.metrics["collisions"].values())

@@ -7,10 +7,10 @@ import pytest
 
 from tests.helpers.browser import Browser, find_browser
 from tests.helpers.report_fakes import fake_map, fake_record, fake_run
+from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.cli.arguments import pose
-from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
+from turtlebag.pipeline.stages.compare import compare_outputs, compare_with_systems
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.planners.tasks.waypoints import load_waypoints
 
@@ -65,8 +65,8 @@ def address(tmp_path_factory):
     make_index([base], Output(base / "index"))
     fake_map(base / "other", record, sigma_m=0.02)
     compare_outputs(base / "map", base / "other", Output(base / "comparison"))
-    files = RivalFiles("cartographer", base / "other/trajectory.tum", base / "other/map.yaml")
-    compare_rivals(base / "map", [files], Output(base / "rivals"))
+    files = SystemFiles("cartographer", base / "other/trajectory.tum", base / "other/map.yaml")
+    compare_with_systems(base / "map", [files], Output(base / "systems"))
     return make_report([record, base / "map", run], Output(base / "report")).as_uri()
 
 
@@ -79,9 +79,9 @@ def browser(tmp_path_factory):
 def test_tables_of_four_systems_are_not_cut(browser, address, tmp_path):
     base = Path(urlsplit(address).path).parents[1]
     names = ("cartographer", "slam_toolbox", "kiss_icp")
-    files = [RivalFiles(name, base / "other/trajectory.tum", base / "other/map.yaml") for name in names]
-    compare_rivals(base / "map", files, Output(tmp_path / "rivals"))
-    browser.open((tmp_path / "rivals/index.html").as_uri(), 1200)
+    files = [SystemFiles(name, base / "other/trajectory.tum", base / "other/map.yaml") for name in names]
+    compare_with_systems(base / "map", files, Output(tmp_path / "systems"))
+    browser.open((tmp_path / "systems/index.html").as_uri(), 1200)
     assert browser.evaluate(CUT) == []
 
 
@@ -321,7 +321,7 @@ def test_two_fingers_set_no_goal(browser, address):
     assert before == "x, y in metres"
 
 
-@pytest.mark.parametrize("name", ["index", "comparison", "rivals"])
+@pytest.mark.parametrize("name", ["index", "comparison", "systems"])
 @pytest.mark.parametrize(("width", "dark"), [(400, True), (1400, False)])
 def test_the_other_pages_fit_and_complain_of_nothing_too(browser, address, name, width, dark):
     browser.open(address.replace("/report/", f"/{name}/"), width, dark=dark)

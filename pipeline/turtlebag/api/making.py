@@ -36,7 +36,7 @@ Pose = SE2 | Sequence[float] | np.ndarray
 log.addHandler(logging.NullHandler())
 _printed = logging.StreamHandler()
 IN_PYTHON = {"set": "settings", "force": "force=True", "wiggle": "wiggle=True"}
-IN_PYTHON |= {"rival": "rivals", **{f"rival-{what}": what for what in ("base", "times", "shift")}}
+IN_PYTHON |= {"system": "systems", **{f"system-{what}": what for what in ("base", "times", "shift")}}
 FARTHEST = 1e9
 
 

@@ -26,9 +26,9 @@ from turtlebag.api.making import (
     step,
     text_of,
 )
+from turtlebag.api.other_systems import Systems, system_options
 from turtlebag.api.outputs import Bag, Map, as_map, robot_for
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
-from turtlebag.api.rivals import Rivals, rival_options
 from turtlebag.api.tasks import Avoid, Explore, Patrol, Task, keepout_option, task_options
 from turtlebag.datasets.errors import InputError
 from turtlebag.reports.system_comparison import SystemComparison
@@ -177,7 +177,7 @@ def plan(
 
 def report(
     *outputs: PathLike,
-    rivals: Rivals | None = None,
+    systems: Systems | None = None,
     animate: bool = True,
     paper: bool = False,
     out: PathLike | None = None,
@@ -185,9 +185,9 @@ def report(
 ) -> Report:
     """Make one page about recordings, maps, runs, localisations and plans, with figures and numbers.
 
-    `rivals` are other systems to show beside ours: files or `Rival`s by name. `animate=False` leaves out the
-    animations, `paper=True` adds every figure as PDF and SVG. InputError for anything that is not such an
-    output, and for rivals that cannot be compared with it. `turtlebag verify` needs the outputs themselves:
+    `systems` are other systems to show beside ours: files or `System`s by name. `animate=False` leaves out
+    the animations, `paper=True` adds every figure as PDF and SVG. InputError for anything that is not such an
+    output, and for systems that cannot be compared with it. `turtlebag verify` needs the outputs themselves:
     give them an `out` to keep them.
     """
     from turtlebag.pipeline.cli.report import make
@@ -195,10 +195,10 @@ def report(
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
     shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
-    words, known, files = rival_options(rivals)
+    words, known, files = system_options(systems)
     with step("report", out, force=force, inputs={**shown, **files}) as now:
         paths = [path_of(one, what) for what, one in shown.items()]
-        make(now.arguments(*paths, rival=words, **known, no_animation=not animate, paper=paper))
+        make(now.arguments(*paths, system=words, **known, no_animation=not animate, paper=paper))
         return Report.of(now)
 
 
@@ -206,20 +206,20 @@ def compare(
     output: PathLike,
     other: PathLike | None = None,
     *,
-    rivals: Rivals | None = None,
+    systems: Systems | None = None,
     out: PathLike | None = None,
     force: bool = False,
 ) -> Comparison:
     """Compare two outputs of one step, or ours with other systems' results for one recording.
 
-    `rivals` are files or `Rival`s by the systems' names, instead of `other`. InputError for outputs of two
-    kinds, and for rivals that cannot be read or compared.
+    `systems` are files or `System`s by the systems' names, instead of `other`. InputError for outputs of two
+    kinds, and for systems that cannot be read or compared.
     """
     from turtlebag.pipeline.cli.compare import make
 
-    words, known, files = rival_options(rivals)
+    words, known, files = system_options(systems)
     if (other is None) == (not files):
-        raise InputError("compare: give another output, or rivals by their names")
+        raise InputError("compare: give another output, or other systems by their names")
     path, given = path_of(output, "output"), {"output": output, "other": other, **files}
     with step("compare", out, force=force, inputs=given) as now:
         found = make(now.arguments(path, *(words if other is None else [other]), **known))

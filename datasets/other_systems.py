@@ -25,7 +25,7 @@ FEWEST = 3
 """Poses that a trajectory must have to be laid on another."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
 PATHS = ("trajectory", "map", "times")
-"""What a rival may have a file of."""
+"""What another system may have a file of."""
 IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg")
 LONGEST_S = 4e9
 OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -35,7 +35,7 @@ CLIMB_M = 1.0
 
 
 def kind_of(path: Path) -> str:
-    """Which field of `RivalFiles` a file belongs to, by its name: a map's is YAML."""
+    """Which field of `SystemFiles` a file belongs to, by its name: a map's is YAML."""
     return "map" if path.suffix in (".yaml", ".yml") else "trajectory"
 
 
@@ -46,9 +46,9 @@ def require_name(name: str) -> None:
 
 
 @pydantic_dataclass(frozen=True)
-class RivalFiles:
-    """Files of one rival. `base` (x, y [m], yaw [rad]) is where on the robot sits what its trajectory tracks;
-    `shift_s` is added to its stamps; `times` are the stamps of a KITTI file.
+class SystemFiles:
+    """Files of another system. `base` (x, y [m], yaw [rad]) is where on the robot sits what its trajectory
+    tracks; `shift_s` is added to its stamps; `times` are the stamps of a KITTI file.
 
     InputError for a name that is none or is taken, and for what needs a trajectory that is not there.
     """
@@ -95,7 +95,7 @@ class System:
     notes: tuple[str, ...] = ()
 
 
-def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
+def load_system(files: SystemFiles, scans_ns: Stamps) -> System:
     """Read another system's files; `scans_ns` are the stamps of the scans. InputError if they are invalid."""
     for what, path in files.paths.items():
         if path is not None and path.is_dir():

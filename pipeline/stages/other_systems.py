@@ -1,4 +1,4 @@
-"""Rivals beside a stage of ours: what is known of the recording, and what a report remembers of them."""
+"""Other systems beside a stage of ours: what is known of the recording, and what a manifest says of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.rivals import OURS, RivalFiles, System, load_rival
+from turtlebag.datasets.other_systems import OURS, System, SystemFiles, load_system
 from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.systems import Measured, measure
@@ -19,40 +19,40 @@ from turtlebag.reports.stages import Group, Manifest, Stage
 
 KINDS = ("map", "localise", "navigate")
 """What has a trajectory of its own, in the order in which a report takes one for ours."""
-MARK = "rival:"
+MARK = "system:"
 """Begins the names of those inputs of a report that are files of other systems."""
 
 
 def ours_of(stages: Sequence[Stage]) -> Stage:
-    """The stage that rivals are compared with; InputError where there is none."""
+    """The stage that other systems are compared with; InputError where there is none."""
     for kind in KINDS:
         for stage in stages:
             if stage.kind == kind and (stage.trajectory is not None or stage.map is not None):
                 return stage
-    raise InputError(f"{stages[0].folder}: a rival is compared with an output of {', '.join(KINDS)}")
+    raise InputError(f"{stages[0].folder}: other systems are compared with an output of {', '.join(KINDS)}")
 
 
 def measured(
-    stage: Stage, files: Sequence[RivalFiles], group: Group | None = None
+    stage: Stage, files: Sequence[SystemFiles], group: Group | None = None
 ) -> tuple[References, list[Measured]]:
-    """Ours and its rivals, measured; InputError for what cannot be read or compared."""
+    """Ours and the other systems, measured; InputError for what cannot be read or compared."""
     track = None if stage.trajectory is None else Trajectory3D.of(stage.trajectory)
     scans = np.zeros(0, dtype=np.int64) if track is None else track.stamps_ns
     ours = System(OURS, track, stage.map)
-    rivals = [load_rival(entry, scans) for entry in files]
-    for rival in rivals:
-        if (rival.track is None or track is None) and (rival.grid is None or stage.map is None):
-            has = "no map" if rival.track is None else "no trajectory"
-            raise InputError(f"{rival.name}: {stage.folder} has {has} to compare its own with")
+    others = [load_system(entry, scans) for entry in files]
+    for other in others:
+        if (other.track is None or track is None) and (other.grid is None or stage.map is None):
+            has = "no map" if other.track is None else "no trajectory"
+            raise InputError(f"{other.name}: {stage.folder} has {has} to compare its own with")
     known = known_of(stage, group)
-    return known, measure(ours, rivals, known)
+    return known, measure(ours, others, known)
 
 
-def measured_in(groups: Sequence[Group], files: Sequence[RivalFiles]) -> tuple[References, list[Measured]]:
-    """The rivals of a report, measured; InputError when it is about more than one world or log."""
+def measured_in(groups: Sequence[Group], files: Sequence[SystemFiles]) -> tuple[References, list[Measured]]:
+    """The other systems of a report, measured; InputError when it is about more than one world or log."""
     if len(groups) > 1:
         names = ", ".join(group.name for group in groups)
-        raise InputError(f"--rival: a rival belongs to one recording, but these are of {names}")
+        raise InputError(f"--system: belongs to one recording, but these outputs are of {names}")
     return measured(ours_of(groups[0].stages), files, groups[0])
 
 
@@ -71,27 +71,27 @@ def known_of(stage: Stage, group: Group | None = None) -> References:
     return References.load(truth, relations if relations is not None and relations.is_file() else None)
 
 
-def inputs_of(files: Sequence[RivalFiles]) -> dict[str, Path]:
-    """Every file of the rivals by the name a manifest gives it."""
+def inputs_of(files: Sequence[SystemFiles]) -> dict[str, Path]:
+    """Every file of the other systems by the name a manifest gives it."""
     return {f"{MARK}{one.name}/{what}": path for one in files for what, path in one.inputs().items()}
 
 
-def remembered(files: Sequence[RivalFiles], out: Path) -> list[dict[str, Any]]:
-    """What a manifest says of the rivals, their files as seen from `out`."""
+def for_manifest(files: Sequence[SystemFiles], out: Path) -> list[dict[str, Any]]:
+    """What a manifest says of the other systems, their files as seen from `out`."""
     return [
         asdict(one) | {what: path and os.path.relpath(path, out) for what, path in one.paths.items()}
         for one in files
     ]
 
 
-def recalled(manifest: Manifest, out: Path) -> list[RivalFiles]:
-    """The rivals of a report in `out`, wherever report and files were moved together."""
+def from_manifest(manifest: Manifest, out: Path) -> list[SystemFiles]:
+    """The other systems of a report in `out`, wherever report and files were moved together."""
 
-    def found(one: RivalFiles) -> dict[str, Any]:
+    def found(one: SystemFiles) -> dict[str, Any]:
         given = {what: path for what, path in one.paths.items() if path is not None}
         return {
             what: out / path if (out / path).is_file() else manifest.inputs[f"{MARK}{one.name}/{what}"].path
             for what, path in given.items()
         }
 
-    return [replace(one, **found(one)) for one in manifest.rivals]
+    return [replace(one, **found(one)) for one in manifest.systems]

@@ -21,15 +21,15 @@ from tests.helpers.report_fakes import (
 )
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.other_systems import System, SystemFiles
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.rivals import RivalFiles, System
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.stages.compare import compare_rivals
+from turtlebag.pipeline.stages.compare import compare_with_systems
 from turtlebag.pipeline.stages.verify import verify
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.map import map_metrics, walls
@@ -43,8 +43,8 @@ ELSEWHERE = SE2.from_xyt(5.0, 3.0, 2.0)
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
-    """A record, a map of ours, and a rival's trajectory and map in another frame."""
-    base = tmp_path_factory.mktemp("rivals")
+    """A record, a map of ours, and another system's trajectory and map in another frame."""
+    base = tmp_path_factory.mktemp("systems")
     record = fake_record(base / "record")
     fake_map(base / "map", record)
     poses = noisy(load_tum(record / "truth/trajectory.tum"), 0.03)
@@ -55,21 +55,21 @@ def tree(tmp_path_factory):
 
 
 def carto(tree, **changes):
-    return RivalFiles(**{"name": "carto", "trajectory": tree / "carto.tum", **changes})
+    return SystemFiles(**{"name": "carto", "trajectory": tree / "carto.tum", **changes})
 
 
-def test_a_rival_in_another_frame_is_measured_by_the_same_numbers_as_ours(tree):
-    found = compare_rivals(tree / "map", [carto(tree, map=tree / "carto.yaml")])
+def test_another_system_in_another_frame_is_measured_by_the_same_numbers_as_ours(tree):
+    found = compare_with_systems(tree / "map", [carto(tree, map=tree / "carto.yaml")])
     told = json.loads((tree / "map/metrics.json").read_text())
-    ours, rival = (found.metrics["systems"][name] for name in ("TurtleBag", "carto"))
+    ours, other = (found.metrics["systems"][name] for name in ("TurtleBag", "carto"))
     assert ours["ate_m"]["rmse"] == pytest.approx(told["ate_m"]["rmse"], rel=1e-6)
     assert ours["ate_aligned_m"]["rmse"] == pytest.approx(told["ate_aligned_m"]["rmse"], rel=1e-6)
     assert ours["rpe"] == pytest.approx(told["rpe"], rel=1e-6)
-    assert rival["ate_m"]["rmse"] > 3.0
-    assert rival["ate_aligned_m"]["rmse"] == pytest.approx(0.03 * np.sqrt(2.0), rel=0.1)
-    assert rival["ate_aligned_3d_m"]["rmse"] == pytest.approx(rival["ate_aligned_m"]["rmse"], rel=1e-6)
-    assert rival["map"]["occupied_error_m"]["within_one_cell"] > 0.96
-    assert rival["map_moved"] == pytest.approx(ELSEWHERE.inverse().xyt.tolist(), abs=0.02)
+    assert other["ate_m"]["rmse"] > 3.0
+    assert other["ate_aligned_m"]["rmse"] == pytest.approx(0.03 * np.sqrt(2.0), rel=0.1)
+    assert other["ate_aligned_3d_m"]["rmse"] == pytest.approx(other["ate_aligned_m"]["rmse"], rel=1e-6)
+    assert other["map"]["occupied_error_m"]["within_one_cell"] > 0.96
+    assert other["map_moved"] == pytest.approx(ELSEWHERE.inverse().xyt.tolist(), abs=0.02)
     assert re.search(r"map was moved by .* m and turned by \S+° to align", str(found.notes))
     assert "TurtleBag 0.7" in found.sentence
     best = {row.spec.path: [cell.best for cell in row.cells] for _, _, rows in found.sections for row in rows}
@@ -83,7 +83,7 @@ def test_missing_stretches_other_stamps_and_poses_past_the_end_are_said(tree, tm
     kept[60:85] = kept[:10] = False
     late = Trajectory(whole.stamps_ns[kept] + 60_000_000, whole.poses[kept])
     save_tum(late, tmp_path / "late.tum")
-    found = compare_rivals(tree / "map", [RivalFiles("late", tmp_path / "late.tum")])
+    found = compare_with_systems(tree / "map", [SystemFiles("late", tmp_path / "late.tum")])
     notes = " ".join(note for _, note in found.notes)
     assert "no poses for 2.1 s at the start, 1 stretch in between (up to 5.2 s)" in notes
     assert "the reference was interpolated" in notes
@@ -98,8 +98,8 @@ def test_a_rate_of_its_own_changes_little(tree, tmp_path):
     truth = load_tum(tree / "record/truth/trajectory.tum")
     save_tum(Trajectory(fine.stamps_ns, truth.at(fine.stamps_ns)), tmp_path / "fast.tum")
     save_tum(Trajectory(truth.stamps_ns[::13], truth.poses[::13]), tmp_path / "slow.tum")
-    rivals = [RivalFiles(name, tmp_path / f"{name}.tum") for name in ("fast", "slow")]
-    systems = compare_rivals(tree / "map", rivals).metrics["systems"]
+    others = [SystemFiles(name, tmp_path / f"{name}.tum") for name in ("fast", "slow")]
+    systems = compare_with_systems(tree / "map", others).metrics["systems"]
     assert systems["fast"]["ate_aligned_m"]["rmse"] < 0.002
     assert systems["slow"]["ate_aligned_m"]["rmse"] < 1e-6
     assert systems["slow"]["paired"] == 12
@@ -113,17 +113,17 @@ def test_without_a_truth_the_others_are_measured_against_ours():
     poses = path.planar().poses
     pairs = Relations(path.stamps_ns[a] + 1000, path.stamps_ns[b], poses[a].inverse() @ poses[b])
     thin = moved[np.arange(150) % 3 != 0]
-    ours, rival = measure(
+    ours, other = measure(
         System("TurtleBag", path, None), [System("r", thin, None)], References(relations=pairs)
     )
     assert "ate_m" not in ours.numbers
-    assert rival.numbers["ate_m"]["rmse"] == pytest.approx(2.0, abs=1e-6)
-    assert rival.numbers["ate_aligned_m"]["rmse"] < 1e-6
+    assert other.numbers["ate_m"]["rmse"] == pytest.approx(2.0, abs=1e-6)
+    assert other.numbers["ate_aligned_m"]["rmse"] < 1e-6
     # It has no poses at these stamps: they are interpolated between its own.
     assert relations_metrics(thin.planar(), pairs)["relations"]["n"] == 0
-    assert rival.numbers["relations"]["n"] == 1
-    assert rival.numbers["relations"]["trans_m"]["mean"] < 0.01
-    two = [ours, rival, replace(rival, system=System("s", thin, None))]
+    assert other.numbers["relations"]["n"] == 1
+    assert other.numbers["relations"]["trans_m"]["mean"] < 0.01
+    two = [ours, other, replace(other, system=System("s", thin, None))]
     found = compare_systems(two, References(relations=pairs), Album(None), "x")
     assert found.sentence.startswith("Mean relations error: TurtleBag 0.0000")
     bare = measure(System("TurtleBag", path, None), [one.system for one in two[1:]], References())
@@ -146,7 +146,7 @@ def test_maps_as_other_systems_write_them_are_laid_on_ours(tree, tmp_path, kind)
         f"image: m.png\nmode: {mode}\nresolution: {resolution}\norigin: [{x}, {y}, {yaw}]\n"
         f"negate: {int(kind == 'negate')}\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
-    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "m.yaml")])
+    found = compare_with_systems(tree / "map", [SystemFiles("r", map=tmp_path / "m.yaml")])
     numbers = found.metrics["systems"]["r"]["map"]
     assert numbers["occupied_error_m"]["within_one_cell"] > (0.9 if kind == "coarse" else 0.96)
     assert "turned by" in found.notes[0][1]
@@ -155,7 +155,7 @@ def test_maps_as_other_systems_write_them_are_laid_on_ours(tree, tmp_path, kind)
 def test_a_map_of_another_place_is_said_to_be_one(tree, tmp_path):
     cells = (100 * (stream(5, "clutter").random((90, 140)) > 0.9)).astype(np.int8)
     save_map(OccupancyGrid(cells, 0.05), tmp_path)
-    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "map.yaml")])
+    found = compare_with_systems(tree / "map", [SystemFiles("r", map=tmp_path / "map.yaml")])
     assert any("another place" in note for _, note in found.notes)
 
 
@@ -166,13 +166,13 @@ def test_a_map_of_finer_cells_is_not_another_place(tree, tmp_path):
     inside = ndimage.binary_erosion(fine.cells == OCCUPIED)
     fine = replace(fine, cells=np.where(inside, -1, fine.cells).astype(np.int8))
     save_map(fine, tmp_path)
-    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "map.yaml")])
+    found = compare_with_systems(tree / "map", [SystemFiles("r", map=tmp_path / "map.yaml")])
     assert not any("another place" in note for _, note in found.notes)
 
 
 def test_a_map_without_walls_is_said_to_have_none(tree, tmp_path):
     save_map(OccupancyGrid(np.zeros((90, 140), np.int8), 0.05), tmp_path)
-    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "map.yaml")])
+    found = compare_with_systems(tree / "map", [SystemFiles("r", map=tmp_path / "map.yaml")])
     assert ("r", "Its map has no walls.") in found.notes
     assert found.sentence == "No number of another system could be computed."
 
@@ -202,7 +202,7 @@ def test_the_command_prints_a_table_and_leaves_files_for_evo(tree, tmp_path, cap
     out = capsys.readouterr().out
     assert "evo_ape -a" in out
     assert out.splitlines()[-1].endswith("index.html")
-    names = sorted(path.name for path in (tmp_path / "out/rivals").iterdir())
+    names = sorted(path.name for path in (tmp_path / "out/systems").iterdir())
     assert names == ["TurtleBag.reference.tum", "TurtleBag.tum", "carto.reference.tum", "carto.tum"]
     page = (tmp_path / "out/index.html").read_text()
     assert page.count("<figure") == 3
@@ -210,9 +210,9 @@ def test_the_command_prints_a_table_and_leaves_files_for_evo(tree, tmp_path, cap
     assert metrics["reference"] == "truth"
 
 
-def test_a_localisation_has_rivals_too(tree):
+def test_a_localisation_has_other_systems_too(tree):
     fake_localise(tree / "localise", tree / "record", tree / "map")
-    systems = compare_rivals(tree / "localise", [carto(tree)]).metrics["systems"]
+    systems = compare_with_systems(tree / "localise", [carto(tree)]).metrics["systems"]
     assert systems["TurtleBag"]["ate_m"]["rmse"] == pytest.approx(0.01 * np.sqrt(2.0), rel=0.1)
 
 
@@ -224,18 +224,18 @@ def test_a_localisation_has_rivals_too(tree):
         (["{base}/carto.pgm"], "give the map's YAML file"),
         (["a/b={base}/carto.tum"], "a system's name may contain only letters"),
         (["TurtleBag={base}/carto.tum"], "give this system another"),
-        (["x={base}/carto.tum", "x={base}/carto.tum"], "x has a trajectory already"),
-        (["{base}/carto.tum", "--rival-shift", "9000"], "share 0 instants; if its clock has another origin"),
-        (["{base}/carto.tum", "--rival-shift", "soon"], "expected a number of seconds"),
-        (["{base}/carto.tum", "--rival-base", "1,2"], "expected three numbers"),
-        (["a={base}/carto.tum", "--rival-shift", "b=1"], "no rival is called b; there are a"),
-        (["a={base}/carto.tum", "b={base}/carto.yaml", "--rival-shift", "1"], "there are several rivals"),
-        (["a={base}/carto.yaml", "--rival-base", "1,2,3"], "a has no trajectory"),
+        (["x={base}/carto.tum", "x={base}/carto.tum"], "x already has a trajectory"),
+        (["{base}/carto.tum", "--system-shift", "9000"], "share 0 instants; if its clock has another origin"),
+        (["{base}/carto.tum", "--system-shift", "soon"], "expected a number of seconds"),
+        (["{base}/carto.tum", "--system-base", "1,2"], "expected three numbers"),
+        (["a={base}/carto.tum", "--system-shift", "b=1"], "no system named b; known: a"),
+        (["a={base}/carto.tum", "b={base}/carto.yaml", "--system-shift", "1"], "there are several systems"),
+        (["a={base}/carto.yaml", "--system-base", "1,2,3"], "a has no trajectory"),
         (["{base}/map", "{base}/map"], "takes two outputs"),
-        (["{base}/map", "--rival-shift", "1"], "options are for others' files"),
+        (["{base}/map", "--system-shift", "1"], "options apply only to files of other systems"),
     ],
 )
-def test_bad_rivals_are_refused_in_one_line(tree, tmp_path, capsys, words, said):
+def test_bad_files_of_other_systems_are_refused_in_one_line(tree, tmp_path, capsys, words, said):
     words = [word.format(base=tree) for word in words]
     assert main(["compare", str(tree / "map"), *words, "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
@@ -244,42 +244,42 @@ def test_bad_rivals_are_refused_in_one_line(tree, tmp_path, capsys, words, said)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_rival_of_two_worlds_and_a_rival_of_a_recording_alone_are_refused(tree, tmp_path, capsys):
-    other = fake_record(tmp_path / "other", world="hall")
-    rival = ["--rival", str(tree / "carto.tum"), "--out", str(tmp_path / "out")]
-    assert main(["report", str(tree / "map"), str(tree / "record"), str(other), *rival]) == 2
+def test_a_system_beside_two_worlds_or_a_recording_alone_are_refused(tree, tmp_path, capsys):
+    hall = fake_record(tmp_path / "other", world="hall")
+    words = ["--system", str(tree / "carto.tum"), "--out", str(tmp_path / "out")]
+    assert main(["report", str(tree / "map"), str(tree / "record"), str(hall), *words]) == 2
     assert "belongs to one recording" in capsys.readouterr().err
-    assert main(["report", str(tree / "record"), *rival]) == 2
-    assert "a rival is compared with an output of map" in capsys.readouterr().err
-    assert main(["report", str(tree / "map"), "--out", str(tmp_path / "out"), "--rival-shift", "1"]) == 2
-    assert "there is no rival" in capsys.readouterr().err
+    assert main(["report", str(tree / "record"), *words]) == 2
+    assert "other systems are compared with an output of map" in capsys.readouterr().err
+    assert main(["report", str(tree / "map"), "--out", str(tmp_path / "out"), "--system-shift", "1"]) == 2
+    assert "there is no other system" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path, monkeypatch):
-    rival = [f"--rival=carto={tree / 'carto.tum'}"]
+def test_a_report_shows_other_systems_and_verify_measures_them_again(tree, tmp_path, monkeypatch):
+    other = [f"--system=carto={tree / 'carto.tum'}"]
     copy = tmp_path / "carto.tum"
     copy.write_bytes((tree / "carto.tum").read_bytes())
-    words = [str(tree / "map"), *rival, f"--rival=again={copy}", "--no-animation"]
+    words = [str(tree / "map"), *other, f"--system=again={copy}", "--no-animation"]
     out = tmp_path / "report"
     with unrendered():
         assert main(["report", *words, "--out", str(out)]) == 0
     page = (out / "index.html").read_text()
     assert "Other systems" in page
-    assert 'data-key="record/rivals:systems.carto.ate_aligned_m.rmse"' in page
+    assert 'data-key="record/systems:systems.carto.ate_aligned_m.rmse"' in page
     rows = (out / "tables/numbers.csv").read_text().splitlines()
-    assert sum("record,rivals,systems.carto.ate_" in row for row in rows) == 4
-    assert " & TurtleBag & carto & again" in (out / "tables/record-rivals.tex").read_text()
+    assert sum("record,systems,systems.carto.ate_" in row for row in rows) == 4
+    assert " & TurtleBag & carto & again" in (out / "tables/record-systems.tex").read_text()
     # Its files are named as seen from the report, wherever the command is run.
     (tmp_path / "elsewhere/carto.tum").mkdir(parents=True)
     (tmp_path / "elsewhere/here").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere/here")
     found = verify(out)
     assert found.problems == []
-    assert any(check.key.startswith("record/rivals:systems.again") for check in found.checks)
+    assert any(check.key.startswith("record/systems:systems.again") for check in found.checks)
     (out / "index.html").write_text(page.replace("carto 4.", "carto 1."))
     copy.write_text("".join(f"{line}\n" for line in copy.read_text().splitlines()[:-20]))
     problems = verify(out).problems
     assert any("says" in problem and "carto 4." in problem for problem in problems)
-    assert any("rival:again/trajectory" in problem and "changed" in problem for problem in problems)
+    assert any("system:again/trajectory" in problem and "changed" in problem for problem in problems)
     assert any("systems.again.poses: reported 150, computed 130" in problem for problem in problems)

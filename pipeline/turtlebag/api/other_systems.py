@@ -12,12 +12,12 @@ import numpy as np
 
 from turtlebag.api.making import PathLike, Pose, in_a_line, path_if, path_of, pose_of, pose_text
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.other_systems import require_name
 from turtlebag.datasets.parts import told_kind
-from turtlebag.datasets.rivals import require_name
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class System:
     """Another system's result for a recording: a trajectory (TUM, KITTI, EuRoC csv), a map's YAML, or both.
 
     `times` is the file with the times of KITTI poses. `base` is the pose on the robot of what it tracks, such
@@ -31,23 +31,23 @@ class Rival:
     shift: float = 0.0
 
 
-Rivals = Mapping[str, Rival | PathLike]
-"""Rivals by their names; one with only a file may be given as its path."""
+Systems = Mapping[str, System | PathLike]
+"""Other systems by their names; one with only a file may be given as its path."""
 
 
-def rival_options(rivals: Rivals | None) -> tuple[list[str], dict[str, list[str]], dict[str, Path]]:
+def system_options(systems: Systems | None) -> tuple[list[str], dict[str, list[str]], dict[str, Path]]:
     """NAME=FILE of every file, the options of the command line that say the rest, and the files by what they
     are; InputError for what is none."""
-    if not isinstance(rivals, Mapping | None):
+    if not isinstance(systems, Mapping | None):
         said = 'expected a mapping such as {"other": "poses.tum"}'
-        raise InputError(f"rivals: {said}, not {told_kind(rivals)}")
+        raise InputError(f"systems: {said}, not {told_kind(systems)}")
     words: list[str] = []
-    known: dict[str, list[str]] = {"rival_base": [], "rival_times": [], "rival_shift": []}
+    known: dict[str, list[str]] = {"system_base": [], "system_times": [], "system_shift": []}
     read: dict[str, Path] = {}
-    for name, given in (rivals or {}).items():
+    for name, given in (systems or {}).items():
         require_name(str(name))
-        what = f"rivals {name}"
-        one = given if isinstance(given, Rival) else Rival(path_of(given, what))
+        what = f"systems {name}"
+        one = given if isinstance(given, System) else System(path_of(given, what))
         files = {
             kind: path_if(getattr(one, kind), f"{what} {kind}") for kind in ("trajectory", "map", "times")
         }
@@ -55,12 +55,12 @@ def rival_options(rivals: Rivals | None) -> tuple[list[str], dict[str, list[str]
         if not found.keys() & {"trajectory", "map"}:
             raise InputError(f"{name} has no trajectory")
         read |= {f"{what} {kind}": path for kind, path in found.items()}
-        known["rival_times"] += [f"{name}={found.pop('times')}"] if "times" in found else []
+        known["system_times"] += [f"{name}={found.pop('times')}"] if "times" in found else []
         words += [f"{name}={path}" for path in found.values()]
         if one.base is not None:
-            known["rival_base"].append(f"{name}={pose_text(pose_of(one.base, f'{what} base'))}")
+            known["system_base"].append(f"{name}={pose_text(pose_of(one.base, f'{what} base'))}")
         if shift := _seconds(one.shift, f"{what} shift"):
-            known["rival_shift"].append(f"{name}={shift!r}")
+            known["system_shift"].append(f"{name}={shift!r}")
     return words, known, read
 
 

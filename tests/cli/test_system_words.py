@@ -1,4 +1,4 @@
-"""What cannot be a rival is refused in a line that says why."""
+"""What cannot be another system is refused in a line that says why."""
 
 import pytest
 
@@ -25,7 +25,7 @@ def tree(tmp_path_factory):
         (["a=1.tum"], "1.tum: too few poses to compare (1; at least 3 are needed)"),
         (["a=2.tum"], "2.tum: too few poses to compare (2; at least 3 are needed)"),
         (["a=map"], "map: is a folder; give the file of the trajectory in it"),
-        (["a=5.tum", "--rival-times", "map"], "map: is a folder; give the file of the times in it"),
+        (["a=5.tum", "--system-times", "map"], "map: is a folder; give the file of the times in it"),
         (["a="], "a=: names no file; write NAME=FILE"),
         (["=5.tum"], "'': a system's name may contain only letters, digits, - and _"),
         (["truth=5.tum"], "truth: is taken"),
@@ -36,7 +36,7 @@ def tree(tmp_path_factory):
 def test_what_cannot_be_compared_is_refused_by_its_name(tree, capsys, monkeypatch, words, said):
     monkeypatch.chdir(tree)
     assert main(["compare", "map", *words]) == 2
-    assert main(["report", "map", "--rival", *words, "--out", "out"]) == 2
+    assert main(["report", "map", "--system", *words, "--out", "out"]) == 2
     first, second = capsys.readouterr().err.splitlines()
     assert said in first == second
     assert not (tree / "out").exists()
