@@ -12,7 +12,6 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.settings import Settings
 
 Model = TypeVar("Model", bound=BaseModel)
 # libyaml's, where it is there: the same in a fraction of the time.
@@ -108,8 +107,9 @@ def _unknown(model: type[BaseModel], loc: Sequence[int | str]) -> str:
         inner = None if field is None else field.annotation
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
             return "unknown key"
-    if issubclass(inner, Settings) and loc[-1] in inner.RENAMED:
-        return f"is now called {inner.RENAMED[str(loc[-1])]}"
+    # `RENAMED` is of Settings, not imported here: pydantic's first model would slow the start of every verb.
+    if new := getattr(inner, "RENAMED", {}).get(loc[-1]):
+        return f"is now called {new}"
     return f"unknown key (known: {', '.join(inner.model_fields)})"
 
 

@@ -81,6 +81,7 @@ def make_navigator(
     localiser = OnlineLocaliser(amcl, kit.sensing.odometry, kit.publisher)
     tools = kit.tools(ObstacleLayer(costmap))
     search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
+    # The stream's name is part of the seed: another name would be other random numbers.
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))
     relocaliser = Relocaliser(
         RelocalisationStates(config.relocalise, state),

@@ -156,7 +156,7 @@ class Relocaliser:
             if len(found) > 1:
                 self.disambiguation = Disambiguation(self._aliasing, found, self.tools, now_ns)
                 self._sureness.new_update(localiser)
-                self.machine.on(Event.ALIKE, now_ns, localiser.updates)
+                self.machine.on(Event.ALIASED, now_ns, localiser.updates)
             else:
                 self._move_to(found[0])
 

@@ -41,10 +41,10 @@ class Event(Enum):
 
     DOUBTED = auto()
     FOUND = auto()
-    TIME_OVER = auto()
-    TRIES_OVER = auto()
-    SAID = auto()
-    ALIKE = auto()
+    TIMEOUT = auto()
+    OUT_OF_TRIES = auto()
+    NEXT_TICK = auto()
+    ALIASED = auto()
     DECIDED = auto()
     PUSHED = auto()
 
@@ -53,20 +53,20 @@ TRANSITIONS = {
     (State.WIGGLE, Event.FOUND): State.DRIVE,
     (State.WIGGLE, Event.DOUBTED): State.LOOK,
     (State.DRIVE, Event.DOUBTED): State.LOOK,
-    (State.DRIVE, Event.ALIKE): State.DISAMBIGUATE,
+    (State.DRIVE, Event.ALIASED): State.DISAMBIGUATE,
     (State.DRIVE, Event.PUSHED): State.PUSHED,
     (State.PUSHED, Event.PUSHED): State.PUSHED,
-    (State.PUSHED, Event.TIME_OVER): State.DRIVE,
+    (State.PUSHED, Event.TIMEOUT): State.DRIVE,
     (State.PUSHED, Event.DOUBTED): State.LOOK,
     (State.DISAMBIGUATE, Event.DECIDED): State.DRIVE,
     (State.DISAMBIGUATE, Event.DOUBTED): State.LOOK,
     (State.LOOK, Event.FOUND): State.DRIVE,
-    (State.LOOK, Event.TIME_OVER): State.ROAM,
+    (State.LOOK, Event.TIMEOUT): State.ROAM,
     (State.ROAM, Event.FOUND): State.DRIVE,
-    (State.ROAM, Event.TIME_OVER): State.RESTART,
-    (State.ROAM, Event.TRIES_OVER): State.GIVE_UP,
-    (State.RESTART, Event.SAID): State.LOOK,
-    (State.GIVE_UP, Event.SAID): State.DRIVE,
+    (State.ROAM, Event.TIMEOUT): State.RESTART,
+    (State.ROAM, Event.OUT_OF_TRIES): State.GIVE_UP,
+    (State.RESTART, Event.NEXT_TICK): State.LOOK,
+    (State.GIVE_UP, Event.NEXT_TICK): State.DRIVE,
 }
 
 
@@ -108,13 +108,13 @@ class RelocalisationStates:
     def update(self, now_ns: int, narrow: bool, agrees: bool, updates: int) -> State:
         """The state for this tick; RESTART and GIVE_UP last one tick."""
         if self.state in (State.RESTART, State.GIVE_UP):
-            self.on(Event.SAID, now_ns, updates)
+            self.on(Event.NEXT_TICK, now_ns, updates)
         good = narrow and (agrees or now_ns < self._trusted_ns)
         if self.state in (State.LOOK, State.ROAM):
             self._search(now_ns, narrow, good, updates)
             return self.state
         if self.state is State.PUSHED and now_ns - self._since_ns > nanoseconds(PUSHED_S):
-            self.on(Event.TIME_OVER, now_ns, updates)
+            self.on(Event.TIMEOUT, now_ns, updates)
         self._count_doubts(now_ns, good, updates)
         return self.state
 
@@ -122,7 +122,7 @@ class RelocalisationStates:
         """Apply the transition table."""
         self.state = TRANSITIONS[self.state, event]
         self._since_ns = now_ns
-        if event not in (Event.ALIKE, Event.DECIDED, Event.PUSHED):
+        if event not in (Event.ALIASED, Event.DECIDED, Event.PUSHED):
             self._good_ns, self._doubts = None, 0
             self._updates = self._updates_then = updates
 
@@ -150,7 +150,7 @@ class RelocalisationStates:
             self.on(Event.FOUND, now_ns, updates)
         elif over and not looking and self._restarts >= config.restarts:
             self._restarts = 0
-            self.on(Event.TRIES_OVER, now_ns, updates)
+            self.on(Event.OUT_OF_TRIES, now_ns, updates)
         elif over:
             self._restarts += not looking
-            self.on(Event.TIME_OVER, now_ns, updates)
+            self.on(Event.TIMEOUT, now_ns, updates)

@@ -197,7 +197,8 @@ def test_a_map_that_the_truth_denies_is_bad_whatever_the_mapper_believes(
 def test_a_name_for_a_map_that_would_be_another_file_is_refused(tmp_path, capsys, name):
     (tmp_path / "in").mkdir()
     assert main(["map", str(tmp_path / "in"), "--name", name, "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err.startswith(f"turtlebag: --name {name}: ")
+    said = f"--name {name}: " if name else "empty argument after --name; "
+    assert capsys.readouterr().err.startswith(f"turtlebag: {said}")
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 

@@ -226,7 +226,7 @@ def test_a_pushed_robot_stands_until_nobody_has_pushed_it_for_a_while(monkeypatc
 def test_doubts_in_a_row_are_counted_while_hypotheses_are_compared():
     machine = RelocalisationStates(RelocaliseConfig())
     assert machine.update(1 * S, False, True, 1) == "drive"
-    machine.on(Event.ALIKE, 1 * S, 1)
+    machine.on(Event.ALIASED, 1 * S, 1)
     assert machine.update(2 * S, True, True, 2) == "disambiguate"
     assert machine.update(3 * S, False, True, 3) == "disambiguate"
     machine.on(Event.DECIDED, 3 * S, 3)
