@@ -75,7 +75,7 @@ def _sqlite3_topic(connection: Connection) -> Topic:
 def _note_problems(path: Path, problems: list[str], stopped: bool, notes: list[str]) -> None:
     notes.extend(f"{path.name}: {problem}" for problem in problems)
     if stopped:
-        notes.append(f"{path.name}: read up to there; `turtlebag bag recover` saves what comes after, too")
+        notes.append(f"{path.name}: read up to there; `turtlebag bag recover` also saves what follows")
 
 
 READERS: dict[str, Reader] = {

@@ -38,7 +38,7 @@ NO_ANSWER = re.compile(
     r"Retrying \(|ConnectionError|TimeoutError|NameResolutionError|ProxyError|SSLError|ProtocolError"
     r"|IncompleteRead|HTTP error 5\d\d|\b5\d\d Server Error|timed out"
 )
-AGAIN = "then run the same make again"
+AGAIN = "then run the same make command again"
 
 
 class Failed(Exception):
@@ -82,7 +82,7 @@ def install(environment: Path, project: Path) -> None:
             _fill(environment, project, handle)
         print("set-up: trial run, which compiles the numeric kernels", flush=True)
         if subprocess.run([environment / "bin/turtlebag", "doctor", "--trial"], check=False).returncode:
-            raise Failed(f"the lines above say what does not work here; put that right, {AGAIN}")
+            raise Failed(f"the lines above show what does not work; fix it, {AGAIN}")
 
 
 @contextmanager
@@ -185,7 +185,7 @@ def _run(command: Sequence[str], log: Path, what: str, handle: int) -> None:
                 print(f"set-up: no answer from {mirror()}; trying again (Ctrl-C to give up)", flush=True)
             said.append(line)
     if process.returncode:
-        raise Failed(f"{_reason(said, what, process.returncode)} (all of it: {log.parent.name}/{log.name})")
+        raise Failed(f"{_reason(said, what, process.returncode)} (full output: {log.parent.name}/{log.name})")
 
 
 def _reason(said: Sequence[str], what: str, code: int) -> str:

@@ -299,7 +299,9 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     config = _with_sensors(recording, run.config)[1]
     T_map_b = place_of(clouds(), a, b, config.place_recognition, config.loops)
     if T_map_b is None:
-        raise InputError(f"{b.recording.source}: no place in it is recognised as one of {a.recording.source}")
+        raise InputError(
+            f"{b.recording.source}: no place of {a.recording.source} recognised; map it separately"
+        )
     track = joined_track(track_a, track_b, T_map_b)
     border = border_constraint(track_a, T_map_keys, T_map_b, track_b)
     doubted = distrusted(recording, track, config.tracking.odometry, np.array([len(a.recording)]))

@@ -140,8 +140,8 @@ def _require_name(named: str | None) -> None:
     """InputError when a map cannot be saved by this name beside our own files."""
     if named is not None and (not re.fullmatch(r"[\w][\w.-]*", named) or named in TAKEN):
         raise InputError(
-            f"--name {named}: use letters, digits, - and _, without a folder or extension, and none of "
-            f"{', '.join(TAKEN)}"
+            f"--name {named}: use letters, digits, - and _, without a folder or an extension "
+            f"(taken: {', '.join(TAKEN)})"
         )
 
 

@@ -111,7 +111,7 @@ def keyboard_driver(
 class OverrideKeys:
     """Teleop overrides by keyboard (see `navigation.teleop_override`): any driving key begins one."""
 
-    TABLE = TABLES["keys"].replace("end the recording", "hand back") + "\n  (any of them but Q takes over)"
+    TABLE = TABLES["keys"].replace("end the recording", "hand back") + "\n  (every key but Q overrides)"
 
     def __init__(
         self,

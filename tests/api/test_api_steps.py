@@ -162,7 +162,7 @@ WRONG = {
         lambda c: tb.navigate(c / "map", task=tb.Patrol([(0, "x")])),
         "waypoints: expected numbers",
     ),
-    "no world": (lambda c: tb.navigate(c / "map/map.yaml", task=tb.Goal(0, 0)), "world: name the world"),
+    "no world": (lambda c: tb.navigate(c / "map/map.yaml", task=tb.Goal(0, 0)), "world: give the world"),
     "a goal in the wall": (
         lambda c: tb.navigate(c / "map", task=tb.Goal(1.5, 0, 0), world=c / "room.yaml"),
         "^goal 1.5,0,0: the robot would stand in an obstacle",

@@ -183,7 +183,7 @@ def test_a_mirror_that_does_not_answer_is_one_line_that_says_what_to_do(machine,
     assert line.startswith("set-up: https://mirror.example/simple does not answer")
     assert ("six==1.17.0" in line) == ("six" in words)
     assert "PIP_INDEX_URL=https://..." in line
-    assert "run the same make again" in line
+    assert "run the same make command again" in line
     assert "secret" not in line + said
     assert "Traceback" not in line + said
     assert (machine.folder / ".venv/install.log").read_text() == words

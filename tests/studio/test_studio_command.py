@@ -190,7 +190,7 @@ def test_another_address_than_this_machine_s_own_says_what_that_means(tmp_path, 
     monkeypatch.setattr(Session, "tick", tick)
     options = ["--no-browser", "--world", "empty", "--host", "0.0.0.0", "--out", str(tmp_path / "out")]
     assert main(["studio", *options]) == 2
-    assert "--host 0.0.0.0: everybody who can reach this machine" in capsys.readouterr().err
+    assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
 
 
 def test_the_first_free_folder_is_taken(tmp_path, monkeypatch):
