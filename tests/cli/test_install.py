@@ -205,7 +205,7 @@ def test_a_trial_that_fails_is_tried_again_without_a_new_environment(machine):
     machine.sick.touch()
     code, (line,), _ = machine.setup()
     assert code == 2
-    assert "the lines above say what does not work here" in line
+    assert "the lines above show what does not work" in line
     (machine.folder / ".venv/kept").touch()
     machine.sick.unlink()
     assert machine.setup()[0] == 0
