@@ -7,8 +7,9 @@ no longer changes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.se2 import Array, wrap
-from turtlebag.datasets.types import Recording, Recording3D, Trajectory
+from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, known_motion, make_clouds
 from turtlebag.pipeline.slam.gyro import turns_with
@@ -73,7 +74,8 @@ def in_step(recording: Recording, timing: Timing) -> Recording:
             else "beam by beam, not at once as"
         )
         said = f"the lidar sweeps {way} the log says (judged by the turns of scans and odometry); corrected"
-        recording = replace(_sweeping(recording, time_increment), notes=(*recording.notes, said))
+        lidar = replace(recording.lidar, time_increment=time_increment)
+        recording = replace(recording, lidar=lidar, notes=(*recording.notes, said))
     if over:
         said = (
             "scans and odometry turn in opposite directions: assuming the laser is mounted the other way up"
@@ -116,22 +118,24 @@ def compared_turns(recording: Recording) -> Timing:
         T_odom_base=recording.T_odom_base[thin],
         odometry=stream,
     )
-    noise = range_noise(scans, USABLE_M)
-    judges = usual <= JUDGES_S
+    # each stretch is tracked once for a lidar and a delay
+    turned = cache(partial(_turned, scans, range_noise(scans, USABLE_M)))
+    compared = partial(_turns, scans, _starts(scans), turned)
+    judges, lidar = usual <= JUDGES_S, recording.lidar
     late_s, over, sweep, others = 0.0, False, None, _sweeps(recording, usual) if judges else []
     for _ in range(ROUNDS):
-        turns = _turns(scans, late_s, noise)
+        turns = compared(lidar, late_s)
         found, against = _delay(turns)
         if against and not over:
-            scans, over = replace(scans, lidar=turned_over(scans.lidar)), True
+            lidar, over = turned_over(lidar), True
             continue
-        settled = scans.lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
+        settled = lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
         late_s = found
         if settled:
-            other, others = _other_sweep(scans, late_s, noise, turns, others), []
+            other, others = _other_sweep(compared, lidar, late_s, turns, others), []
             if other is None:
                 break
-            sweep, scans = other, _sweeping(scans, other)
+            sweep, lidar = other, replace(lidar, time_increment=other)
     interval = seconds(float(np.median(np.diff(stream.stamps_ns)))) if len(stream) > 1 else 0.0
     least_s = min(max(LEAST_S, interval), PERIOD_S)
     return Timing(late_s if abs(late_s) >= least_s else 0.0, over, sweep, turns.alike or not judges)
@@ -147,21 +151,21 @@ def _sweeps(recording: Recording, usual_s: float) -> list[float]:
     return [turn, -turn]
 
 
-def _sweeping(recording: Recording, time_increment: float) -> Recording:
-    return replace(recording, lidar=replace(recording.lidar, time_increment=time_increment))
-
-
 def _other_sweep(
-    scans: Recording, late_s: float, noise: RangeNoise, turns: _Turns, others: Sequence[float]
+    compared: Callable[..., _Turns],
+    lidar: LidarSpec,
+    late_s: float,
+    turns: _Turns,
+    others: Sequence[float],
 ) -> float | None:
     """The alternative time between beams [s] with which scans and odometry clearly agree better; None if
     there is none."""
     best, gained = None, 0.0
     for time_increment in others:
-        other = _sweeping(scans, time_increment)
-        if _gain(turns.some(FIRST), _turns(other, late_s, noise, FIRST)).sum() < -LIKELIER / FIRST:
+        other = replace(lidar, time_increment=time_increment)
+        if _gain(turns.some(FIRST), compared(other, late_s, FIRST)).sum() < -LIKELIER / FIRST:
             continue
-        gain = _gain(turns, _turns(other, late_s, noise))
+        gain = _gain(turns, compared(other, late_s))
         if _surely(gain) and gain.sum() > gained:
             best, gained = time_increment, float(gain.sum())
     return best
@@ -234,8 +238,8 @@ def _surely(gain: Array) -> bool:
     return bool(gain.sum() >= LIKELIER and gain.sum() ** 2 >= AGREEING * (gain**2).sum())
 
 
-def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
-    """Scans of each of the stretches in which the turning changes most."""
+def _starts(scans: Recording) -> list[int]:
+    """First scans of the stretches in which the turning changes most."""
     assert scans.T_odom_base is not None
     waits = seconds(np.diff(scans.stamps_ns))
     known = (waits > 0.0) & (waits < GAP_S)
@@ -244,26 +248,34 @@ def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
     if not len(starts):
         return []
     change = np.add.reduceat(np.minimum(np.abs(np.diff(rate, append=rate[-1:])), 1.0), starts)
-    chosen = np.sort(np.argsort(-change, kind="stable")[:STRETCHES])
-    return [start + np.arange(SCANS) for start in starts[chosen]]
+    chosen: list[int] = starts[np.sort(np.argsort(-change, kind="stable")[:STRETCHES])].tolist()
+    return chosen
 
 
-def _turns(scans: Recording, late_s: float, noise: RangeNoise, every: int = 1) -> _Turns:
-    """The turns by scans and by odometry in one of `every` stretches, the sweeps deskewed as if the odometry
-    were this late."""
-    spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)[::every]]
-    stream = _stream(scans)
+def _turns(
+    scans: Recording,
+    starts: list[int],
+    turned: Callable[[LidarSpec, float, int], Array],
+    lidar: LidarSpec,
+    late_s: float,
+    every: int = 1,
+) -> _Turns:
+    """The turns by scans and by odometry in one of `every` stretches, the sweeps of the lidar deskewed as if
+    the odometry were this late."""
+    spans, stream = [turned(lidar, late_s, start) for start in starts[::every]], _stream(scans)
     times, yaw = seconds(stream.stamps_ns - scans.stamps_ns[0]), np.unwrap(stream.poses.yaw)
-    begin, end, turned = np.concatenate([np.zeros((0, 3)), *spans]).T
+    begin, end, by_scans = np.concatenate([np.zeros((0, 3)), *spans]).T
     later = DELAYS_S[:, None]
     reported = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
     stretch = np.repeat(every * np.arange(len(spans)), [*map(len, spans)])
-    return _Turns(np.stack([turned - reported, turned + reported]), stretch)
+    return _Turns(np.stack([by_scans - reported, by_scans + reported]), stretch)
 
 
-def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
-    """Start and end [s] since the first scan, and turn [rad] by the scans alone, of each span, (n, 3)."""
-    track = tracked_alone(scans, rows, noise, late_s)
+def _turned(scans: Recording, noise: RangeNoise, lidar: LidarSpec, late_s: float, start: int) -> Array:
+    """Start and end [s] since the first scan, and turn [rad] by the scans alone, of each span of the stretch
+    from `start` on, (n, 3)."""
+    rows = start + np.arange(SCANS)
+    track = tracked_alone(replace(scans, lidar=lidar), rows, noise, late_s)
     times = seconds(scans.stamps_ns[rows] - scans.stamps_ns[0])
     waits = np.diff(times)
     known = np.convolve((waits > 0.0) & (waits < GAP_S) & track.usable[1:], np.ones(SPAN), "valid")
