@@ -29,6 +29,7 @@ import numpy as np
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from turtlebag.datasets.cache_files import read_cached, trim_cached, user_cache, write_cached
@@ -72,7 +73,8 @@ class KernelCache(_Cache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The cached code for the argument types, or None."""
-        target_context.refresh()
+        # all that finished code needs; what a compiler needs takes longer to load than many kernels
+        rtsys.initialize(target_context)
         for folder in folders() if self._on else ():
             kept = read_cached(folder / self._name(sig, target_context.codegen()))
             if kept is not None:
