@@ -9,13 +9,8 @@ from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
 from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
 from turtlebag.datasets.bags.tf_frames import FrameTree
-from turtlebag.datasets.bags.topics import CLOUD, IMU, MAPPED, ODOMETRY, SCAN, TRANSFORMS, typestore
+from turtlebag.datasets.bags.topics import CLOUD, IMU, MAPPED, ODOMETRY, SCAN, TOPICS, typestore
 from turtlebag.datasets.types import ImuLog
-
-
-def _current(msgtype: str) -> str:
-    return TRANSFORMS[0] if msgtype == TRANSFORMS[1] else msgtype
-
 
 Raw = list[tuple[int, bytes]]
 """Undecoded messages of one topic with their log times [ns]."""
@@ -61,10 +56,10 @@ class Streams:
         """Name the transforms that are no places and the topics of no standard type; count the damaged."""
         for parent, child in sorted(self.frames.far):
             notes.append(f"the transform {parent} -> {child} is implausibly far away and left out")
-        known = typestore().fielddefs
-        unknown = [
-            f"{name} ({msgtype})" for name, msgtype in self.seen.items() if _current(msgtype) not in known
-        ]
+        ours = {*MAPPED, *(topic.msgtype for topic in TOPICS.values())}
+        others = {name: msgtype for name, msgtype in self.seen.items() if msgtype not in ours}
+        # asked last: the definitions of all standard types take long to load
+        unknown = [f"{name} ({kind})" for name, kind in others.items() if kind not in typestore().fielddefs]
         if unknown:
             notes.append(f"topics of unknown types skipped: {', '.join(sorted(unknown))}")
         if self.bad:
