@@ -53,7 +53,8 @@ def make_surfels(points: Array, views: Array, voxel: float) -> Surfels:
     """
     if len(points) == 0:
         points = views = np.zeros((1, 3))
-    low, high = points.min(axis=0), points.max(axis=0)
+    # by columns: numpy reduces rows of three one by one, twenty times as slowly
+    low, high = np.array([[column.min(), column.max()] for column in points.T]).T
     while np.prod(np.floor((high - low) / voxel) + 3) > MAX_CELLS:
         voxel *= np.cbrt(2.0)  # half as many cells
     low = (np.floor(low / voxel) - 1.0) * voxel
@@ -67,7 +68,8 @@ def make_surfels(points: Array, views: Array, voxel: float) -> Surfels:
     normals = np.zeros((count, 3))
     normals[some] = np.linalg.eigh(scatter[some])[1][:, :, 0]
     # The two faces of a wall may share a voxel: what was seen from either side makes a surfel of its own.
-    behind = np.sum(normals[ids] * (views - points), axis=1) < 0.0
+    x, y, z = (normals[ids] * (views - points)).T
+    behind = x + y + z < 0.0
     counts, means, scatter = _moments(points, 2 * ids + behind, 2 * count)
     faces = np.flatnonzero(counts >= MIN_POINTS)
     values, vectors = np.linalg.eigh(scatter[faces] / (counts[faces] - 1)[:, None, None])
