@@ -75,12 +75,12 @@ def decode_cloud(cursor: Cursor) -> tuple[int, str, Cloud]:
         column = np.ascontiguousarray(layout.rows[:, offset : offset + dtype.itemsize])
         return column.view(dtype)[:, 0].astype(np.float64)
 
-    xyz = np.stack([column("x"), column("y"), column("z")], axis=-1)
-    finite = np.isfinite(xyz).all(axis=1) & (xyz != 0.0).any(axis=1)
+    xyz = np.stack([column("x"), column("y"), column("z")])
+    finite = np.isfinite(xyz).all(axis=0) & (xyz != 0.0).any(axis=0)
     times = None
     for timed in _time_field(layout.fields):
         times = _seconds(column(timed)[finite], layout.fields[timed][0], layout.stamp_ns)
-    return layout.stamp_ns, layout.frame, Cloud(xyz[finite], times)
+    return layout.stamp_ns, layout.frame, Cloud(np.ascontiguousarray(xyz[:, finite].T), times)
 
 
 def _seconds(values: Array, kind: int, stamp_ns: int) -> Array | None:
