@@ -8,12 +8,12 @@ from rosbags.typesys import Stores, get_typestore
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
-def read(bag):
-    """Topic -> (type, messages), by the official mcap reader."""
+def read(bag, names):
+    """Topic -> (type, messages) of the topics called so, by the official mcap reader."""
     found = {}
     for file in sorted(bag.glob("*.mcap")):
         with file.open("rb") as stream:
-            for schema, channel, message in make_reader(stream).iter_messages():
+            for schema, channel, message in make_reader(stream).iter_messages(topics=names):
                 decoded = STORE.deserialize_cdr(message.data, schema.name)
                 found.setdefault(channel.topic, (schema.name, []))[1].append(decoded)
     return found
@@ -41,8 +41,11 @@ def value_at(message, path):
 
 def unresolved(layout, bag, *, without=()):
     """What a viewer would show blank: one line each. `without`: topics this bag need not have."""
-    topics, panels = read(bag), layout["configById"]
+    panels = layout["configById"]
     space = next(panel for name, panel in panels.items() if name.startswith("3D!"))
+    plots = [panel for name, panel in panels.items() if name.startswith("Plot!")]
+    plotted = [line["value"].split(".") for panel in plots for line in panel["paths"]]
+    topics = read(bag, ["/tf", "/tf_static", *space["topics"], *(topic for topic, *_ in plotted)])
     frames = connected(topics, space["followTf"])
     blank = [] if frames else [f"fixed frame {space['followTf']} is in no transform"]
     for topic in set(space["topics"]) - set(without):
@@ -51,12 +54,11 @@ def unresolved(layout, bag, *, without=()):
             continue
         strange = {message.header.frame_id for message in topics[topic][1]} - frames
         blank += [f"{topic} is in frame {frame}, which nothing connects" for frame in strange]
-    for panel in (panel for name, panel in panels.items() if name.startswith("Plot!")):
-        for topic, *path in (line["value"].split(".") for line in panel["paths"]):
-            if topic in topics:
-                values = [value_at(message, path) for message in topics[topic][1]]
-                if not all(isinstance(value, float) and math.isfinite(value) for value in values):
-                    blank.append(f"{topic}.{'.'.join(path)} is no number")
-            elif topic not in without:
-                blank.append(f"{topic} is not in the bag")
+    for topic, *path in plotted:
+        if topic in topics:
+            values = [value_at(message, path) for message in topics[topic][1]]
+            if not all(isinstance(value, float) and math.isfinite(value) for value in values):
+                blank.append(f"{topic}.{'.'.join(path)} is no number")
+        elif topic not in without:
+            blank.append(f"{topic} is not in the bag")
     return blank

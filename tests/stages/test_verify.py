@@ -106,6 +106,27 @@ def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
 
 
 @pytest.mark.slow
+def test_a_lie_of_the_maps_own_check_is_found_by_making_the_map_again(chain, tmp_path):
+    for name in ("record", "map", "run", "report"):
+        shutil.copytree(chain / name, tmp_path / name)
+    # Nothing is left where it was made: all is found beside the report.
+    manifest = tmp_path / "report/manifest.json"
+    manifest.write_text(manifest.read_text().replace(f'"path": "{chain}', '"path": "/nowhere'))
+    key = "room/map:self_check.revisits"
+    for file in (tmp_path / "map/metrics.json", tmp_path / "report/metrics.json"):
+        text = file.read_text()
+        file.write_text(re.sub(r'"revisits": \d+', '"revisits": 7', text))
+        assert file.read_text() != text
+        rehash(file.parent, "metrics.json")
+    found = verify(tmp_path / "report", main)
+    assert [check.key for check in found.checks if not check.agrees] == [key]
+    assert any(line.startswith(f"{key}: reported 7, ") for line in found.problems)
+    assert found.unchecked == []
+    assert not re.search(r"map\.pgm|map\.yaml|trajectory|graph", " ".join(found.notes))
+    assert key in verify(tmp_path / "report").unchecked
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "tag"), [("room/map:ate_m.max", ""), ("room/map:ate_m.rmse", "<dd ")])
 def test_a_number_changed_on_the_page_only_in_a_tile_or_elsewhere_is_named(tree, name, tag):
     page = tree / "report/index.html"
