@@ -46,7 +46,14 @@ def house_map(tmp_path_factory):
     return save_map(grid, tmp_path_factory.mktemp("house"), "house")
 
 
+@pytest.fixture
+def few_candidates(monkeypatch):
+    """A search draws as many poses per square metre of the arena as of a house."""
+    monkeypatch.setattr("turtlebag.pipeline.localisation.global_search.CANDIDATES", 5000)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_candidates")
 def test_a_kidnapped_robot_stops_finds_itself_and_arrives(true_map):
     kidnap = FaultConfig(kidnap=((2.0, 1.6, -0.55, 2.0),))
     episode = run(true_map, kidnap, goal=SE2.from_xyt(1.65, 0.6, 1.57), timeout_s=120.0)
@@ -62,6 +69,7 @@ def test_a_kidnapped_robot_stops_finds_itself_and_arrives(true_map):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_candidates")
 def test_kidnapped_to_an_aliased_place_the_robot_counts_no_goal_before_it_knows_where_it_is(true_map):
     kidnap = FaultConfig(kidnap=((6.0, -1.12, -1.87, 1.63),))
     start, goal = SE2.from_xyt(1.0, 1.7, 0.0), SE2.from_xyt(0.0, 2.0, 0.0)
