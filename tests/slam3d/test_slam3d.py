@@ -81,13 +81,13 @@ def test_a_place_that_drift_has_carried_out_of_reach_is_recognised_by_its_looks(
         Constraint(k, k + 1, se3.inverse(carried[k]) @ carried[k + 1], weight * np.eye(6), "step")
         for k, weight in enumerate(known)
     ]
-    finder, recognised = close_loops(track.places, carried, steps, mapped.setup.voxel, Loop3dConfig(every=2))
+    finder, recognised = close_loops(track.places, carried, steps, mapped.setup.voxel, Loop3dConfig(every=4))
     assert sum(loop.accepted for loop in recognised) >= 2
     for loop in (one for one in recognised if one.accepted):
         assert np.abs(se3.log(loop.T_j_i) - se3.log(se3.inverse(T[loop.j]) @ T[loop.i])).max() < 0.02
     assert np.abs(se3.log(se3.inverse(T) @ finder.T)).max() < 0.05
     alone, unrecognised = close_loops(
-        track.places, carried, steps, mapped.setup.voxel, Loop3dConfig(every=2, appearance=False)
+        track.places, carried, steps, mapped.setup.voxel, Loop3dConfig(every=4, appearance=False)
     )
     assert unrecognised == []
     assert np.abs(se3.log(se3.inverse(T) @ alone.T)).max() > 1.0

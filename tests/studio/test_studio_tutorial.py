@@ -146,12 +146,16 @@ def test_the_tutorial_in_the_window(browser, tmp_path):
         assert abs(yaw) < 0.2
 
         click(browser, "[data-do=waypoints_load] button")
-        until(lambda: browser.evaluate("document.querySelectorAll('#waypoints li').length") == 8)
+        count = "document.querySelectorAll('#waypoints li').length"
+        until(lambda: browser.evaluate(count) == 8)
+        for _ in range(5):  # that all eight are reached, test_end_to_end holds
+            click(browser, "#waypoints li:last-child [aria-label^=Delete]")
+        until(lambda: browser.evaluate(count) == 3)
         click(browser, "#patrol")
         person.task("patrol", 240.0)
-        assert [goal["status"] for goal in person.head["goals"]] == ["reached"] * 8
+        assert [goal["status"] for goal in person.head["goals"]] == ["reached"] * 3
         lines = browser.evaluate("document.getElementById('lines').innerText")
-        assert "8 of 8 goals reached, no collisions" in lines
+        assert "3 of 3 goals reached, no collisions" in lines
 
     # that a session which came over the socket leads to the same bytes again, test_studio_command holds
     assert {"bags/bag_1/metadata.yaml", "session.yaml"} <= set(map(str, files(tmp_path / "live")))
