@@ -1,6 +1,5 @@
 """The same examples on every run: a failure that CI sees, everyone sees. Nothing is kept between runs."""
 
-import fcntl
 import gc
 import os
 from collections import Counter
@@ -9,6 +8,7 @@ from zlib import crc32
 import pytest
 from hypothesis import settings
 
+from tests.helpers.made_once import made_once
 from turtlebag.pipeline.__main__ import GARBAGE_AFTER
 from turtlebag.pipeline.terminal.messages import verbosity_kept
 
@@ -55,22 +55,10 @@ def messages_as_before():
 
 @pytest.fixture(scope="session")
 def chain(tmp_path_factory):
-    """A small chain of good inputs and outputs, to break or to run again; nobody writes to it.
-
-    It is made once, by whichever worker is the first to need it.
-    """
+    """A small chain of good inputs and outputs, to break or to run again; nobody writes to it."""
     from tests.helpers.fuzz_cases import make_chain  # this imports all commands, which most tests do without
 
-    place = tmp_path_factory.getbasetemp()
-    place = place.parent if "PYTEST_XDIST_WORKER" in os.environ else place
-    folder, made = place / "chain", place / "chain.made"
-    with (place / "chain.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not made.exists():
-            folder.mkdir()
-            make_chain(folder)
-            made.touch()
-    return folder
+    return made_once(tmp_path_factory, "chain", make_chain)
 
 
 @pytest.fixture(scope="session")

@@ -78,7 +78,9 @@ def test_other_systems_stand_beside_ours_by_their_names(tree, tmp_path):
 def test_a_report_shows_them_and_verify_measures_them_again(tree, tmp_path):
     systems = {"early": tb.System(tree / "early.tum", shift=5.0), "other": tree / "other.yaml"}
     with unrendered():
-        report = tb.report(tree / "record", tree / "a", systems=systems, animate=False, out=tmp_path / "report")
+        report = tb.report(
+            tree / "record", tree / "a", systems=systems, animate=False, out=tmp_path / "report"
+        )
         assert made_by_its_command(report, tmp_path)
     assert set(report.metrics["room"]["systems"]["systems"]) == {"TurtleBag", "early", "other"}
     assert verify(tmp_path / "report").problems == []

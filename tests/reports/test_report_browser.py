@@ -1,17 +1,18 @@
 """The page in a real browser: nothing overflows, every picture is there, the map answers the mouse."""
 
+import shutil
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
 
 from tests.helpers.browser import Browser, find_browser
-from tests.helpers.report_fakes import fake_map, fake_record, fake_run, undrawn
+from tests.helpers.report_fakes import fake_map, undrawn
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.arguments import pose
 from turtlebag.pipeline.stages.compare import compare_outputs, compare_with_systems
-from turtlebag.pipeline.stages.report import make_index, make_report
+from turtlebag.pipeline.stages.report import make_index
 from turtlebag.planners.tasks.waypoints import load_waypoints
 
 pytestmark = [
@@ -58,16 +59,17 @@ UNFOLD = "for (const box of document.querySelectorAll('details')) box.open = tru
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory):
+def address(drawn, tmp_path_factory):
     base = tmp_path_factory.mktemp("page")
-    record = fake_record(base / "record")
-    run = fake_run(base / "run", fake_map(base / "map", record), missed=True)
+    for name in ("record", "map", "run"):
+        shutil.copytree(drawn / name, base / name)
     make_index([base], Output(base / "index"))
-    fake_map(base / "other", record, sigma_m=0.02)
+    fake_map(base / "other", base / "record", sigma_m=0.02)
     compare_outputs(base / "map", base / "other", Output(base / "comparison"))
     files = SystemFiles("cartographer", base / "other/trajectory.tum", base / "other/map.yaml")
     compare_with_systems(base / "map", [files], Output(base / "systems"))
-    return make_report([record, base / "map", run], Output(base / "report")).as_uri()
+    shutil.copytree(drawn / "report", base / "report")
+    return (base / "report/index.html").as_uri()
 
 
 @pytest.fixture(scope="module")
