@@ -46,12 +46,6 @@ def house_map(tmp_path_factory):
     return save_map(grid, tmp_path_factory.mktemp("house"), "house")
 
 
-@pytest.fixture
-def few_candidates(monkeypatch):
-    """A search draws as many poses per square metre of the arena as of a house."""
-    monkeypatch.setattr("turtlebag.pipeline.localisation.global_search.CANDIDATES", 5000)
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_candidates")
 def test_a_kidnapped_robot_stops_finds_itself_and_arrives(true_map):
