@@ -22,7 +22,6 @@ from turtlebag.pipeline.localisation.field import LikelihoodField
 from turtlebag.pipeline.localisation.fine_pose import FinePose
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.push_detection import PushDetector
 
 
 @dataclass
@@ -69,7 +68,6 @@ class Amcl:
         self.beams: Beams | None = None
         """The scan of the last update; None before the first."""
         self.watch = AgreementWatch(config)
-        self.push = PushDetector()
         limits = config.range_limits(lidar)
         self._prepare = functools.partial(prepare, T_base_lidar=T_base_lidar, range_limits=limits)
         self._sensor = LikelihoodField(config, self.search.field, self.search.range_max)
@@ -117,11 +115,6 @@ class Amcl:
         return len(self._cloud.poses)
 
     @property
-    def pushes(self) -> int:
-        """How often a push of the standing robot was detected."""
-        return self.push.pushes
-
-    @property
     def agreement(self) -> float:
         """Share 0..1 of recent scans that the map explains at the estimate."""
         return self.watch.fast
@@ -162,30 +155,20 @@ class Amcl:
     def update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None = None) -> bool:
         """Update with a scan; True if the filter used it, False if the robot has hardly moved.
 
-        A scan of a standing robot is used if it shows that someone has pushed the robot. `T_odom_base` is the
-        odometry at the scan's stamp, `T_odom_base_end` at the end of the sweep (stamp + n_beams *
-        time_increment), used for deskewing. ValueError if the filter is not initialised or the odometry is
-        not finite.
+        `T_odom_base` is the odometry at the scan's stamp, `T_odom_base_end` at the end of the sweep (stamp +
+        n_beams * time_increment), used for deskewing. ValueError if the filter is not initialised or the
+        odometry is not finite.
         """
         self._check(T_odom_base)
         last = self._at.T_odom_base
         T_last_base = None if last is None else last.inverse() @ T_odom_base
-        pushed = None
-        if self._moved_enough(T_last_base):
-            self.push.moved()
-        else:
-            pushed = self._pushed(scan, T_odom_base)
-            if pushed is None:
-                return False
+        if not self._moved_enough(T_last_base):
+            return False
         T_base_odom = T_odom_base.inverse()
         sweep = None if T_odom_base_end is None else T_base_odom @ T_odom_base_end
         beams = self._prepare(scan, T_start_end=sweep)
         if T_last_base is not None:
             self._predict(T_last_base)
-        if pushed is not None:
-            poses = self._cloud.poses
-            poses += self._rng.standard_normal(poses.shape) * pushed
-            poses[:, 2] = wrap(poses[:, 2])
         self._at.T_odom_base, self.beams = T_odom_base, beams
         if len(beams) > 0:
             self._weigh(beams)
@@ -203,7 +186,6 @@ class Amcl:
 
     def _restart(self, poses: Array, watch: AgreementWatch) -> None:
         self._cloud, self._at, self.watch = _Cloud.even(poses), _Located(), watch
-        self.push.moved()
         if self._fine is not None:
             self._fine.forget()
 
@@ -218,14 +200,6 @@ class Amcl:
             return True
         x, y, yaw = T_last_base.xyt.tolist()
         return math.hypot(x, y) >= self.config.update_min_d or abs(yaw) >= self.config.update_min_a
-
-    def _pushed(self, scan: Scan, T_odom_base: SE2) -> Array | None:
-        """Standard deviations (3,) for drawing the cloud after a push of the standing robot; else None."""
-        if not self.converged:
-            return None
-        beams = functools.cache(lambda: self._prepare(scan, T_start_end=None))
-        pose = self.T_map_base(T_odom_base).xyt
-        return self.push.pushed(scan, T_odom_base, pose, lambda poses: self.search.agreements(poses, beams()))
 
     def _predict(self, T_last_base: SE2) -> None:
         """Move cloud and fine pose by odometry since the last update."""

@@ -99,11 +99,6 @@ class Localiser(Protocol):
         ...
 
     @property
-    def pushes(self) -> int:
-        """How often a push of the standing robot was detected; 0 without push detection."""
-        ...
-
-    @property
     def beams(self) -> Beams | None:
         """The last used scan, for comparing pose hypotheses; None disables that."""
         ...
@@ -121,8 +116,7 @@ def require_estimate(localiser: Localiser) -> None:
     answer.require_finite("covariance", covariance, 3, 3)
     for what in ("converged", "agrees", "lost"):
         answer.require_kind(what, getattr(localiser, what), bool, np.bool_)
-    for what in ("pushes", "searches"):
-        answer.require_kind(what, getattr(localiser, what), int, np.integer)
+    answer.require_kind("searches", localiser.searches, int, np.integer)
     answer.require_finite("agreement", localiser.agreement)
     if not -1e-6 <= localiser.agreement <= 1.0 + 1e-6:
         raise answer.wrong(f"agreement must be a share 0..1, not {localiser.agreement:g}")

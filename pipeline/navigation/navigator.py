@@ -136,10 +136,8 @@ class NavigationDriver(Driver):
         if state is State.GIVE_UP and sequence.goal is not None:
             sequence.close("unreachable", LOST, now)
         elif state is not State.WIGGLE:
-            goal = sequence.update(now, "" if state is State.PUSHED else LOST)
+            goal = sequence.update(now, LOST)
             self.goal_index = sequence.index if goal is not None else -1
-        if state is State.PUSHED:
-            self._rest()
         if self._moving.stops(observation.odometry.T_odom_base):
             self._last = self.tools.controller.brake(self._last)
         else:

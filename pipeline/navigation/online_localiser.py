@@ -30,8 +30,6 @@ class OnlineLocaliser:
         """The odometry frame on the map; None while it is unknown."""
         self.updates = 0
         """Scans that the filter used: those between which the robot moved."""
-        self.pushed = False
-        """Whether the newest observation has shown that someone pushed the robot."""
         self._keyframes: deque[Keyframe] = deque(maxlen=self.KEYFRAMES)
         self._seen: tuple[Scan, SE2, SE2] | None = None
         self._shown_ns = -self.PARTICLES_EVERY_NS
@@ -68,15 +66,13 @@ class OnlineLocaliser:
 
     def observe(self, observation: Observation) -> None:
         """Add an observation, which the odometry buffer has seen already."""
-        scan, pushes = observation.scan, self.amcl.pushes
-        self.pushed = False
+        scan = observation.scan
         if scan is None or not self.amcl.initialised:
             return
         T_odom_base = self._odometry.at(scan.stamp_ns)
         self._seen = (scan, T_odom_base, self._odometry.at(sweep_end_ns(scan)))
         updated = self.amcl.update(*self._seen)
         require_estimate(self.amcl)
-        self.pushed = self.amcl.pushes > pushes
         self.T_map_odom = self.amcl.T_map_odom
         T_map_base = self.T_map_odom @ T_odom_base
         self.scan_poses.append((scan.stamp_ns, T_map_base))

@@ -52,16 +52,14 @@ class Relocaliser:
         if before is State.WIGGLE:
             return before
         self.void = self._jumped(observation.odometry.T_odom_base)
-        driving = before in (State.DRIVE, State.DISAMBIGUATE, State.PUSHED)
+        driving = before in (State.DRIVE, State.DISAMBIGUATE)
         if self.void and driving and localiser.updates > 0:
             self.doubt(now)
         if machine.state is not State.DRIVE or localiser.updates > 0:
             machine.update(now, localiser.amcl.converged, localiser.amcl.agrees, localiser.updates)
         if machine.state is State.RESTART:
             localiser.amcl.initialise_globally()
-        if machine.state in (State.DRIVE, State.PUSHED) and localiser.pushed:
-            machine.on(Event.PUSHED, now, localiser.updates)
-        if machine.state not in (State.DRIVE, State.DISAMBIGUATE, State.PUSHED):
+        if machine.state not in (State.DRIVE, State.DISAMBIGUATE):
             self.void |= driving
             self._sureness.doubted = True
             if self.disambiguation is not None:

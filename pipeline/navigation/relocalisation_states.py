@@ -32,8 +32,6 @@ class State(StrEnum):
     """Driving to where the scans expected under the pose hypotheses differ."""
     GIVE_UP = "give_up"
     """Giving up the goal, for one tick."""
-    PUSHED = "pushed"
-    """Being pushed: standing still until no push has occurred for a while."""
 
 
 class Event(Enum):
@@ -46,7 +44,6 @@ class Event(Enum):
     NEXT_TICK = auto()
     ALIASED = auto()
     DECIDED = auto()
-    PUSHED = auto()
 
 
 TRANSITIONS = {
@@ -54,10 +51,6 @@ TRANSITIONS = {
     (State.WIGGLE, Event.DOUBTED): State.LOOK,
     (State.DRIVE, Event.DOUBTED): State.LOOK,
     (State.DRIVE, Event.ALIASED): State.DISAMBIGUATE,
-    (State.DRIVE, Event.PUSHED): State.PUSHED,
-    (State.PUSHED, Event.PUSHED): State.PUSHED,
-    (State.PUSHED, Event.TIMEOUT): State.DRIVE,
-    (State.PUSHED, Event.DOUBTED): State.LOOK,
     (State.DISAMBIGUATE, Event.DECIDED): State.DRIVE,
     (State.DISAMBIGUATE, Event.DOUBTED): State.LOOK,
     (State.LOOK, Event.FOUND): State.DRIVE,
@@ -74,8 +67,6 @@ SETTLED_S = 1.0
 """How long the cloud must be narrow and the scans agree before it drives on: five scans (not measured)."""
 TRUST_S = 15.0
 """How long scan agreement is then not checked again: people and boxes are not on the map (not measured)."""
-PUSHED_S = 2.0
-"""How long the robot stands still after a push: another may follow."""
 
 
 class RelocaliseConfig(Settings, allow_inf_nan=False):
@@ -113,8 +104,6 @@ class RelocalisationStates:
         if self.state in (State.LOOK, State.ROAM):
             self._search(now_ns, narrow, good, updates)
             return self.state
-        if self.state is State.PUSHED and now_ns - self._since_ns > nanoseconds(PUSHED_S):
-            self.on(Event.TIMEOUT, now_ns, updates)
         self._count_doubts(now_ns, good, updates)
         return self.state
 
@@ -122,7 +111,7 @@ class RelocalisationStates:
         """Apply the transition table."""
         self.state = TRANSITIONS[self.state, event]
         self._since_ns = now_ns
-        if event not in (Event.ALIASED, Event.DECIDED, Event.PUSHED):
+        if event not in (Event.ALIASED, Event.DECIDED):
             self._good_ns, self._doubts = None, 0
             self._updates = self._updates_then = updates
 

@@ -194,3 +194,13 @@ def test_the_cloud_is_resampled_at_its_interval_only(room, log, interval, resamp
     assert (np.ptp(amcl._cloud.weights) < 1e-12) == resampled
     # what is not resampled keeps the particles it was begun with, each once
     assert (amcl.size == amcl.config.max_particles) == (not resampled)
+
+
+@pytest.mark.parametrize("push", [(0.19, 0.0, 0.0), (-0.05, 0.13, 0.0), (0.0, 0.0, 0.35), (0.12, -0.1, -0.2)])
+def test_a_robot_that_was_pushed_while_it_stood_finds_itself_when_it_drives_on(room, log, push):
+    amcl = make(room)
+    sure_of = log[0].T_room_base @ SE2(np.array(push)).inverse()
+    amcl.initialise(sure_of, np.diag([0.02, 0.02, 0.02]) ** 2)
+    off, turned = errors(amcl, log[:20])[-1]
+    assert off < 0.03
+    assert turned < 0.03

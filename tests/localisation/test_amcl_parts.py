@@ -283,7 +283,6 @@ def test_a_restart_forgets_all_but_the_settings():
     assert filter_.size == filter_.config.max_particles
     assert filter_._fine is not None
     assert filter_._fine._filter is None
-    assert filter_.push._reference is None
 
 
 @pytest.mark.parametrize(
@@ -292,7 +291,7 @@ def test_a_restart_forgets_all_but_the_settings():
         ("T_map_odom", SE2.identity(2), "T_map_odom must be an array of shape"),
         ("covariance", np.full((3, 3), np.nan), "covariance is not finite"),
         ("lost", None, "lost must be"),
-        ("pushes", 0.5, "pushes must be"),
+        ("searches", 0.5, "searches must be"),
         ("agreement", 1.01, "agreement must be a share 0..1, not 1.01"),
         ("agreement", -0.01, "agreement must be a share 0..1, not -0.01"),
         ("particles", SE2.identity(), "particles must be poses"),
@@ -302,7 +301,7 @@ def test_a_restart_forgets_all_but_the_settings():
 def test_what_a_localiser_says_after_a_scan_is_checked(name, value, told):
     said = {
         "T_map_odom": SE2.identity(), "covariance": np.eye(3), "converged": True, "agrees": True,
-        "lost": False, "pushes": 0, "searches": 0, "agreement": 1.0 + 1e-9, "particles": SE2.identity(1),
+        "lost": False, "searches": 0, "agreement": 1.0 + 1e-9, "particles": SE2.identity(1),
     }  # fmt: skip
     require_estimate(SimpleNamespace(**said))
     with pytest.raises(InputError, match=told):

@@ -9,90 +9,12 @@ from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR
 from tests.localisation.filter_room import GRID, PLACE, beams_at, made
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan
-from turtlebag.pipeline.localisation import fine_pose, push_detection
+from turtlebag.pipeline.localisation import fine_pose
 from turtlebag.pipeline.localisation.beams import prepare
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, tempered
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, Keyframe, PoseHypotheses, apart, within
-from turtlebag.pipeline.localisation.push_detection import PushDetector, _still, changed_share
-
-
-def test_a_view_has_changed_by_the_share_of_beams_that_see_otherwise():
-    inf, nan = math.inf, math.nan
-    before = np.array([1.0, 1.0, 1.0, inf, inf, nan, 1.0, nan])
-    now = np.array([1.039, 1.041, 0.961, inf, 1.0, 1.0, nan, nan])
-    # of the six with a return in either, two are the same
-    assert changed_share(now, before) == pytest.approx(4 / 6)
-    assert changed_share(np.array([inf, nan]), np.array([nan, inf])) == 0.0
-    here = SE2.from_xyt(1.0, 2.0, 3.1)
-    for xyt, still in (
-        ((0.0099, 0.0, 0.0099), True),
-        ((0.008, 0.008, 0.0), False),
-        ((0.0, 0.0, -0.0101), False),
-    ):
-        assert _still(here, here @ SE2(np.array(xyt))) == still
-
-
-def beside(poses):
-    """The map explains the scan best from 30 cm ahead."""
-    return -np.abs(poses - [0.3, 0.0, 0.0]).sum(axis=1)
-
-
-def watched(changes, agreement=None, odometry=None):
-    """What a standing robot says scan by scan; a change is metres added to all ranges."""
-    watch, out, agreement = PushDetector(), [], agreement or beside
-    for k, change in enumerate(changes):
-        scan = Scan(0, np.full(20, 1.0 + change, np.float32), STILL_LIDAR)
-        out.append(
-            watch.pushed(scan, SE2.identity() if odometry is None else odometry[k], np.zeros(3), agreement)
-        )
-    return watch, out
-
-
-def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
-    _, told = watched([0.0, 0.1, 0.0, 0.1, 0.1])
-    assert [std is not None for std in told] == [False, False, False, False, True]
-    np.testing.assert_allclose(told[-1], [0.3, 0.3, push_detection.LEAST_STD], atol=0.011)
-    # after it every scan is held against the map for a while, though the view stays as it is now
-    looks = []
-
-    def found_once(poses):
-        looks.append(len(out))
-        return beside(poses) if len(out) < 3 else np.zeros(len(poses))
-
-    watch, out = PushDetector(), []
-    for k in range(12):
-        scan = Scan(0, np.full(20, 1.1 if k else 1.0, np.float32), STILL_LIDAR)
-        out.append(watch.pushed(scan, SE2.identity(), np.zeros(3), found_once))
-    assert [k for k, std in enumerate(out) if std is not None] == [2]
-    assert sorted(set(looks)) == [2, 3, 4, 5, 6, 7, 8]
-    watch, told = watched([0.0, 0.1, 0.1])
-    assert (watch._alert, watch._pause, watch._next_pause) == (push_detection.SETTLING, 0, 0)
-    assert watch._reference[0][0] == pytest.approx(1.1)
-    driven = [SE2.from_xyt(0.02 * k, 0.0, 0.0) for k in range(5)]
-    assert all(std is None for std in watched([0.0, 0.1, 0.2, 0.3, 0.4], odometry=driven)[1])
-
-
-def test_a_look_in_vain_is_followed_by_pauses_that_double():
-    calls = []
-
-    def flat(poses):
-        calls.append(len(poses))
-        return np.zeros(len(poses))
-
-    looks = []
-    watch = PushDetector()
-    for k in range(112):
-        before = len(calls)
-        change = 0.0 if k == 0 else 0.2
-        scan = Scan(0, np.full(20, 1.0 + change, np.float32), STILL_LIDAR)
-        assert watch.pushed(scan, SE2.identity(), np.zeros(3), flat) is None
-        if len(calls) > before:
-            looks.append(k)
-    assert np.diff(looks).tolist() == [2, 3, 5, 9, 17, 33, 33]
-    watch.moved()
-    assert (watch._reference, watch._changed, watch._pause, watch._next_pause) == (None, 0, 0, 0)
 
 
 def test_places_are_apart_by_more_than_a_metre_or_a_radian():

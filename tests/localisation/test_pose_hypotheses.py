@@ -11,6 +11,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.pose_hypotheses import (
     BEAMS,
@@ -123,3 +124,10 @@ def test_hypotheses_look_different_where_the_map_is_not_symmetric():
     plain = seen_from(HALL, DRIVE[:1])[0].differences([SE2.identity(), HALF_TURN], poses)
     assert plain.max() < 0.05
     assert told[0] > 0.2
+
+
+def test_climbing_finds_the_peak_to_half_the_last_step():
+    peak = np.array([0.31, -0.17, 0.22])
+    value, pose = climb(lambda poses: -np.abs((poses - peak) / (0.02, 0.02, 0.012)).max(axis=1), np.zeros(3))
+    assert np.all(np.abs(pose - peak) <= np.array([0.01, 0.01, 0.006]) + 1e-9)
+    assert value > -0.51

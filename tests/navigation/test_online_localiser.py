@@ -23,7 +23,7 @@ def observation(k):
 def test_a_cloud_is_published_only_at_a_scan_that_the_filter_used():
     amcl = SimpleNamespace(
         initialised=True, T_map_odom=SE2.identity(), covariance=np.eye(3), beams=None,
-        converged=True, agrees=True, lost=False, pushes=0, searches=0, agreement=1.0,
+        converged=True, agrees=True, lost=False, searches=0, agreement=1.0,
     )  # fmt: skip
     used = {0, 2, 7, 13, 14}
     amcl.particles = SE2.identity(3)

@@ -213,18 +213,6 @@ def test_the_diagram_in_the_docs_is_the_table_of_transitions():
     assert sorted(drawn) == sorted(table)
 
 
-def test_a_pushed_robot_stands_until_nobody_has_pushed_it_for_a_while(monkeypatch):
-    monkeypatch.setattr("turtlebag.pipeline.navigation.relocalisation_states.DOUBTS", 1)
-    machine = RelocalisationStates(RelocaliseConfig())
-    machine.on(Event.PUSHED, 1 * S, 1)
-    assert machine.update(2 * S, True, True, 1) == "pushed"
-    machine.on(Event.PUSHED, 2 * S, 2)
-    assert [machine.update(t * S, True, True, 2) for t in (3, 4)] == ["pushed", "pushed"]
-    assert machine.update(4 * S + 1, True, True, 2) == "drive"
-    machine.on(Event.PUSHED, 5 * S, 3)
-    assert machine.update(6 * S, False, False, 4) == "look"
-
-
 def test_doubts_in_a_row_are_counted_while_hypotheses_are_compared():
     machine = RelocalisationStates(RelocaliseConfig())
     assert machine.update(1 * S, False, True, 1) == "drive"

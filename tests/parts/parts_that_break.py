@@ -169,7 +169,7 @@ class Torn(Amcl):
 
 
 class Uncounted(Amcl):
-    pushes = None
+    searches = property(lambda self: None, lambda self, count: None)
 
 
 class Shorter(OmplPlanner):

@@ -105,7 +105,7 @@ def world(part):
         (testing.check_localiser, parts.Boastful, "agreement must be a share 0..1, not 7"),
         (testing.check_localiser, parts.Empty, "particles must be poses (n,), at least one"),
         (testing.check_localiser, parts.Torn, "lost must be a bool, not None"),
-        (testing.check_localiser, parts.Uncounted, "pushes must be a int, not None"),
+        (testing.check_localiser, parts.Uncounted, "searches must be a int, not None"),
         (testing.check_planner, parts.Shorter, "length is negative"),
         (testing.check_task, parts.Mute, "state must be a str, not None"),
         (testing.check_task, parts.Unfinished, "finished must be a bool, not None"),
