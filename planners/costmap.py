@@ -15,7 +15,6 @@ from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.grid_distance import GridDistance, descend, grid_distance
 
 Mask = NDArray[np.bool_]
@@ -110,6 +109,13 @@ class Costmap:
         way[tuple(descend(ways, int(row), int(col)).T)] = True
         closed = self.keepout & (distance_field(way, res) > 2.0 * radius)
         return Costmap(self.lethal & ~self.keepout | closed, res, self.T_map_grid, closed)
+
+
+def distance_field(blocked: Mask, resolution: float) -> NDArray[np.float32]:
+    """Distance from each cell's centre to that of the nearest blocked cell [m], (rows, cols); one must be
+    blocked."""
+    cells = scipy.ndimage.distance_transform_edt(~blocked)
+    return np.asarray(cells * resolution, dtype=np.float32)
 
 
 def clearance_field(lethal: Mask, resolution: float) -> NDArray[np.float32]:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import Costmap, Mask
-from turtlebag.planners.distance_transform import distance_field
+from turtlebag.planners.costmap import Costmap, Mask, distance_field
 
 NEVER = -math.inf
 """Stamp [s] of a cell without a mark."""
@@ -102,8 +101,7 @@ class ObstacleLayer:
             slice(max(rows[0] - pad, 0), rows[-1] + pad + 1),
             slice(max(cols[0] - pad, 0), cols[-1] + pad + 1),
         )
-        # One array layout only, because another would be compiled separately.
-        near = distance_field(np.ascontiguousarray(marked[window]), static.resolution)
+        near = distance_field(marked[window], static.resolution)
         clearance = static.clearance.copy()
         # Beyond REACH_M the distance to a marked obstacle is deliberately capped: nothing is that near.
         np.minimum(clearance[window], near, out=clearance[window])

@@ -18,8 +18,7 @@ from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.controller import ACCELERATION_SHARE, Ramped, ramped
 from turtlebag.planners.control.monitor import moved
 from turtlebag.planners.control.pursuit import Pursuit
-from turtlebag.planners.costmap import COST_SCALING, Costmap, inflated_cost_at
-from turtlebag.planners.distance_transform import distance_field
+from turtlebag.planners.costmap import COST_SCALING, Costmap, distance_field, inflated_cost_at
 from turtlebag.planners.footprint import (
     Field32,
     FootprintSamples,

@@ -12,8 +12,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.planners import lattice
 from turtlebag.planners.control.controller import ramped
 from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
-from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.distance_transform import distance_field
+from turtlebag.planners.costmap import Costmap, distance_field
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.ompl_planner import OmplConfig

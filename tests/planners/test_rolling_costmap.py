@@ -9,7 +9,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.rolling_costmap import RollingLayer
@@ -83,18 +82,6 @@ def test_no_way_out_of_a_ring_of_obstacles_is_said_so():
         see(layer, 0.1 * k, 0.0, ring)
     with pytest.raises(NoPath, match="no path"):
         layer.aim(SE2.identity(), SE2.from_xyt(9.0, 0.0, 0.0), 0.2)
-
-
-@pytest.mark.parametrize("share", [0.002, 0.05, 0.6])
-def test_distances_are_those_of_scipys_transform(share):
-    blocked = np.random.default_rng(1).random((70, 90)) < share
-    blocked[3, 5] = True
-    expected = (ndimage.distance_transform_edt(~blocked) * 0.05).astype(np.float32)
-    np.testing.assert_array_equal(distance_field(blocked, 0.05), expected)
-
-
-def test_nothing_blocked_is_infinitely_far():
-    assert np.all(np.isinf(distance_field(np.zeros((4, 6), dtype=bool), 0.05)))
 
 
 def test_the_grid_distance_finds_dijkstras_lengths_up_to_its_limit():
