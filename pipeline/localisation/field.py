@@ -87,15 +87,15 @@ def hit_probability(
 
 
 @njit(cache=True)
-def first_wall(
+def meets_wall(
     distance: FloatGrid,
     per_metre: float,
     start: tuple[float, float],
     way: tuple[float, float],
     length: float,
     end: float,
-) -> tuple[int, int]:
-    """Cell (row, col) of the first wall on a beam, less than `end` [m] along it; (-1, -1): none.
+) -> bool:
+    """Whether a wall is on a beam, less than `end` [m] along it.
 
     `start` and `way`, `length` long [m], are in the frame of the field's corner. Steps are as long as the
     distance field allows.
@@ -110,10 +110,10 @@ def first_wall(
         col, row = int(x), int(y)
         d = distance[row, col]
         if d < 0.5 * cell:
-            return row, col
+            return True
         # The nearest centre is at least this far from here, wherever in the cell we are.
         at += max(d - 0.75 * cell, 0.5 * cell)
-    return -1, -1
+    return False
 
 
 @njit(cache=True)

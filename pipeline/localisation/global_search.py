@@ -21,7 +21,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.localisation.beams import Beams, evenly_spaced
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field, first_wall
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field, meets_wall
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
@@ -170,8 +170,7 @@ def path_probabilities(
             ox, oy = px + c * starts[j, 0] - s * starts[j, 1], py + s * starts[j, 0] + c * starts[j, 1]
             wx, wy = c * ways[j, 0] - s * ways[j, 1], s * ways[j, 0] + c * ways[j, 1]
             length = np.hypot(wx, wy)
-            wall, _ = first_wall(distance, per_metre, (ox, oy), (wx, wy), length, length - PATH_SLACK_M)
-            blocked = wall >= 0
+            blocked = meets_wall(distance, per_metre, (ox, oy), (wx, wy), length, length - PATH_SLACK_M)
             if j >= hits:
                 out[i, j] = P_MISSED if blocked else 1.0 - P_MISSED
                 continue

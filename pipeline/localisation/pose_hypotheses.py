@@ -16,15 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.pipeline.localisation.agreement import ALIKE, SETTLING
 from turtlebag.pipeline.localisation.beams import Beams
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, first_wall
 from turtlebag.pipeline.localisation.global_search import (
     LEAST_EFFECTIVE,
-    PATH_SLACK_M,
     STAGE_PARTICLES,
     GlobalSearch,
 )
@@ -34,9 +31,6 @@ from turtlebag.pipeline.localisation.local_search import climb
 # people all round, so that less than this is explained, nothing can be said: a robot pushed about by a walker
 # took its own place, turned by 40 degrees, for another.
 APART, LEAST_FIT = 1.0, 0.7
-# Beams all round; so many neighbours to each side may stand in for one (edges of things, small errors of
-# heading). Not measured.
-BEAMS, NEIGHBOURS = 180, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,19 +74,6 @@ class Aliasing:
         """Agreement of a scan with the map under each of the hypotheses (n,), at the best pose near by."""
         here = [T_map_odom @ scan.T_odom_base]
         return np.array([self._polished(T_map_map, [scan], here)[0] for T_map_map in hypotheses])
-
-    def differences(self, hypotheses: Sequence[SE2], T_map_lidar: SE2) -> Array:
-        """By how much the most unlike two of some hypotheses differ, as a share of the beams, at poses (n,).
-
-        The robot at one of the poses is, under a hypothesis T_map_map, at T_map_map @ pose.
-        """
-        search = self._search
-        views = [expected_views(search.field, T @ T_map_lidar, search.range_max) for T in hypotheses]
-        most = np.zeros(len(T_map_lidar))
-        for i, one in enumerate(views):
-            for other in views[:i]:
-                most = np.maximum(most, clearly_other(one, other))
-        return most
 
     def _places(self, beams: Beams, known: Sequence[SE2]) -> list[Array]:
         """Centres (3,) of the clusters of poses that one scan alone makes likely: a share that counts.
@@ -164,56 +145,3 @@ def within(poses: Array, centre: Array) -> NDArray[np.bool_]:
     """Which poses (n, 3) are about a place, (n,) of bool."""
     near = np.hypot(poses[:, 0] - centre[0], poses[:, 1] - centre[1]) <= REACH_XY
     return np.asarray(near & (np.abs(wrap(poses[:, 2] - centre[2])) <= REACH_YAW), dtype=np.bool_)
-
-
-def expected_views(field: DistanceField, T_map_lidar: SE2, range_max: float) -> Array:
-    """Ranges of `BEAMS` beams all round from each pose (n,), cut at `range_max`: (n, BEAMS)."""
-    angle = 2.0 * np.pi * np.arange(BEAMS) / BEAMS
-    directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    poses = np.ascontiguousarray(T_map_lidar.xyt)
-    return expected_ranges(field.distance, field.frame, poses, np.zeros((BEAMS, 2)), directions, range_max)
-
-
-@njit(cache=True)
-def expected_ranges(
-    distance: FloatGrid,
-    frame: tuple[float, float, float, float],
-    poses: Array,
-    starts: Array,
-    directions: Array,
-    range_max: float,
-) -> Array:
-    """Range to the first occupied cell's centre (its projection on the beam), (n, m), range_max at most.
-
-    `starts` and unit `directions` (m, 2) are in the base frame; `frame` is the field's corner in the map
-    (x, y, yaw) and its cells per metre.
-    """
-    x0, y0, yaw0, per_metre = frame
-    cell = 1.0 / per_metre
-    c0, s0 = np.cos(yaw0), np.sin(yaw0)
-    out = np.full((len(poses), len(starts)), range_max)
-    for i in range(len(poses)):
-        dx, dy = poses[i, 0] - x0, poses[i, 1] - y0
-        px, py = c0 * dx + s0 * dy, c0 * dy - s0 * dx
-        c, s = np.cos(poses[i, 2] - yaw0), np.sin(poses[i, 2] - yaw0)
-        for j in range(len(starts)):
-            ox, oy = px + c * starts[j, 0] - s * starts[j, 1], py + s * starts[j, 0] + c * starts[j, 1]
-            ux = c * directions[j, 0] - s * directions[j, 1]
-            uy = s * directions[j, 0] + c * directions[j, 1]
-            row, col = first_wall(distance, per_metre, (ox, oy), (ux, uy), 1.0, range_max)
-            if row >= 0:
-                reached = ((col + 0.5) * cell - ox) * ux + ((row + 0.5) * cell - oy) * uy
-                out[i, j] = min(max(reached, 0.0), range_max)
-    return out
-
-
-def clearly_other(views: Array, others: Array) -> Array:
-    """Share (n,) of beams whose range, in two sets of views (n, BEAMS), can be told apart by a lidar."""
-    return np.maximum(_beyond(views, others), _beyond(others, views))
-
-
-def _beyond(views: Array, others: Array) -> Array:
-    """Share (n,) of `views`' beams that none of the neighbouring beams in `others` comes near."""
-    about = [np.roll(others, k, axis=1) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)]
-    low, high = np.min(about, axis=0) - PATH_SLACK_M, np.max(about, axis=0) + PATH_SLACK_M
-    return np.asarray(np.mean((views < low) | (views > high), axis=1))

@@ -19,13 +19,6 @@ from turtlebag.pipeline.localisation.field import (
 )
 from turtlebag.pipeline.localisation.local_search import NEIGHBOURS, climb
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.pose_hypotheses import (
-    Aliasing,
-    _beyond,
-    clearly_other,
-    expected_ranges,
-    expected_views,
-)
 
 
 def cluttered(seed, shape=(24, 31), share=0.05, T_map_grid=None):
@@ -66,30 +59,6 @@ def walk(field, frame, x, y, ux, uy, end):
             return int(gy), int(gx)
         at += max(d - 0.75 * cell, 0.5 * cell)
     return None
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_expected_ranges_end_at_the_first_wall_on_the_beam(seed):
-    rng = np.random.default_rng(seed)
-    field = distance_field(cluttered(seed, share=0.03), 1.5)
-    frame, cell = frame_of(field), field.resolution
-    T_field_map = SE2(np.array(frame[:3])).inverse()
-    centres = field.T_map_corner @ (rng.uniform([2.0, 2.0], [3.0, 3.0], (20, 2)))
-    poses = np.column_stack([centres, rng.uniform(-4.0, 4.0, 20)])
-    starts, angles = rng.normal(0.0, 0.2, (9, 2)), rng.uniform(-4.0, 4.0, 9)
-    directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    expected = np.full((20, 9), 2.2)
-    for i, pose in enumerate(poses):
-        T = T_field_map @ SE2(pose)
-        for j in range(9):
-            (x, y), (ux, uy) = T @ starts[j], T @ directions[j] - T @ np.zeros(2)
-            if hit := walk(field.distance, frame, x, y, ux, uy, 2.2):
-                row, col = hit
-                along = ((col + 0.5) * cell - x) * ux + ((row + 0.5) * cell - y) * uy
-                expected[i, j] = np.clip(along, 0.0, 2.2)
-    found = expected_ranges(field.distance, frame, poses, starts, directions, 2.2)
-    assert np.mean(np.isclose(found, expected, atol=1e-6)) > 0.99
-    assert 0.2 < np.mean(found < 2.2) < 1.0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -182,32 +151,3 @@ def test_climbing_ends_on_the_top_of_a_hill_in_ever_finer_steps():
     assert np.abs(NEIGHBOURS).sum() == 54
     # on flat ground it stays where it is
     assert climb(lambda poses: np.zeros(len(poses)), top) == (0.0, pytest.approx(top))
-
-
-def test_views_differ_by_the_share_of_beams_that_no_neighbour_comes_near():
-    views, others = np.full((2, 180), 2.0), np.full((2, 180), 2.0)
-    others[0, :9] = 2.21
-    others[1, :9] = 2.19
-    assert _beyond(views, others).tolist() == pytest.approx([5 / 180, 0.0])
-    assert _beyond(others, views).tolist() == pytest.approx([9 / 180, 0.0])
-    for two in ((views, others), (others, views), (others, views - 1.0)):
-        expected = np.maximum(_beyond(*two), _beyond(*two[::-1]))
-        np.testing.assert_array_equal(clearly_other(*two), expected)
-    field = distance_field(l_shaped_room().grid(), 3.0)
-    poses = SE2(np.array([[2.0, 2.0, 0.3], [1.0, 1.0, -2.0]]))
-    seen = expected_views(field, poses, 3.0)
-    true = l_shaped_room().ranges(SE2(poses.xyt[:1]), 2.0 * math.pi * np.arange(180) / 180, 3.0)
-    assert np.mean(np.abs(seen[0] - np.minimum(true, 3.0)) < 0.06) > 0.95
-    hypotheses = [SE2.identity(), SE2.from_xyt(0.6, 0.0, 0.0), SE2.from_xyt(0.0, 0.0, 3.0)]
-    pairs = [
-        clearly_other(*(expected_views(field, r @ poses, 3.0) for r in two))
-        for two in (
-            (hypotheses[0], hypotheses[1]),
-            (hypotheses[0], hypotheses[2]),
-            (hypotheses[1], hypotheses[2]),
-        )
-    ]
-    grid = l_shaped_room().grid()
-    aliasing = Aliasing(search.GlobalSearch(grid, field, AmclConfig(), 3.0), np.random.default_rng(1))
-    np.testing.assert_allclose(aliasing.differences(hypotheses, poses), np.max(pairs, axis=0))
-    assert aliasing.differences(hypotheses[:1], poses).tolist() == [0.0, 0.0]

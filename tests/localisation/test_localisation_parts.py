@@ -20,7 +20,6 @@ from turtlebag.pipeline.localisation.field import distance_field, hit_probabilit
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, path_probabilities, tempered
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.pose_hypotheses import expected_ranges
 
 
 def grid_with(occupied, shape=(20, 30), resolution=0.1, T_map_grid=None):
@@ -204,22 +203,6 @@ def test_beams_are_spaced_evenly(count, most):
     assert len(np.unique(picked)) == len(picked)
     if count > most > 1:
         assert np.ptp(np.diff(picked)) <= 1
-
-
-# expected ranges and path check
-
-
-def test_expected_ranges_are_those_of_the_room():
-    room = l_shaped_room()
-    field = distance_field(room.grid(0.02), 2.0)
-    T = SE2.from_xyt(2.0, 2.0, 0.3)
-    corner = field.T_map_corner
-    frame = (float(corner.x), float(corner.y), float(corner.yaw), 1.0 / field.resolution)
-    starts = np.zeros((360, 2))
-    found = expected_ranges(field.distance, frame, T.xyt[None], starts, LIDAR.directions, 3.5)[0]
-    true = np.minimum(room.ranges(SE2(T.xyt[None]), LIDAR.angles, 3.5), 3.5)
-    assert np.median(np.abs(found - true)) < 0.01
-    assert np.mean(np.abs(found - true) < 0.04) > 0.95
 
 
 def test_a_beam_through_a_wall_and_a_silent_one_into_a_wall_speak_against_a_pose():

@@ -11,16 +11,12 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.beams import prepare
-from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.pose_hypotheses import (
-    BEAMS,
     Aliasing,
     Keyframe,
     PoseHypotheses,
     apart,
-    clearly_other,
-    expected_views,
     within,
 )
 
@@ -96,38 +92,3 @@ def test_poses_about_a_place_are_near_in_both_place_and_heading():
         [[0.1, -0.1, 0.05], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0], [0, 0, 0.1]]
     )
     assert within(poses, centre).tolist() == [True, False, False, False, True]
-
-
-def test_views_are_the_ranges_of_the_map_all_round():
-    aliasing, _ = seen_from(HALL, DRIVE[:1])
-    field = aliasing._search.field
-    (views,) = expected_views(field, SE2.from_array(np.array([[1.0, 1.2, math.pi / 2]])), 3.5)
-    ahead, left, behind, right = views[:: BEAMS // 4]
-    assert [ahead, left, behind, right] == pytest.approx([1.787, 0.987, 1.187, 2.987], abs=0.06)
-    assert views.max() <= 3.5
-
-
-def test_views_differ_by_the_share_of_beams_that_no_neighbour_comes_near():
-    views = np.full((1, BEAMS), 2.0)
-    others = views.copy()
-    others[0, 10:28] = 3.0
-    # the beams at the gap's two edges, two on each side, have neighbours as they are
-    assert clearly_other(views, others) == pytest.approx(18 / BEAMS)
-    others[0, 10:28] = 2.1
-    assert clearly_other(views, others) == 0.0
-
-
-def test_hypotheses_look_different_where_the_map_is_not_symmetric():
-    aliasing, _ = seen_from(WITH_A_BOX, DRIVE[:1])
-    poses = SE2.from_array(np.array([[1.0, 1.8, 0.0], [2.0, 1.0, 1.0]]))
-    told = aliasing.differences([SE2.identity(), HALF_TURN], poses)
-    plain = seen_from(HALL, DRIVE[:1])[0].differences([SE2.identity(), HALF_TURN], poses)
-    assert plain.max() < 0.05
-    assert told[0] > 0.2
-
-
-def test_climbing_finds_the_peak_to_half_the_last_step():
-    peak = np.array([0.31, -0.17, 0.22])
-    value, pose = climb(lambda poses: -np.abs((poses - peak) / (0.02, 0.02, 0.012)).max(axis=1), np.zeros(3))
-    assert np.all(np.abs(pose - peak) <= np.array([0.01, 0.01, 0.006]) + 1e-9)
-    assert value > -0.51
