@@ -16,23 +16,17 @@ from turtlebag.datasets.types import Scan
 class Beams:
     """The measured beams of one scan.
 
-    `points` (n, 2) and `origins` (n, 2) are in the base frame at the scan's stamp [m]; `ranges` is (n,).
+    `points` (n, 2) and `origins` (n, 2) are in the base frame at the scan's stamp [m].
     `silent_directions` (k, 2) are the unit vectors of beams without return, `silent_origins` (k, 2).
     """
 
     points: Array
     origins: Array
-    ranges: Array
     silent_directions: Array
     silent_origins: Array
 
     def __len__(self) -> int:
         return len(self.points)
-
-    @property
-    def total(self) -> int:
-        """Beams with a return and without."""
-        return len(self.points) + len(self.silent_origins)
 
 
 def prepare(
@@ -55,7 +49,7 @@ def prepare(
     beams = scan.lidar.directions
     origins, directions = deskewed(beams, np.arange(len(beams)) / len(beams), T_base_lidar.xyt, motion)
     points = origins[hit] + directions[hit] * ranges[hit, None]
-    return Beams(points, origins[hit], ranges[hit], directions[silent], origins[silent])
+    return Beams(points, origins[hit], directions[silent], origins[silent])
 
 
 def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:

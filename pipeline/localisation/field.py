@@ -29,13 +29,13 @@ FINEST, MOST_FINE_CELLS = 4, 2**25
 class DistanceField:
     """Distance [m] to the nearest occupied cell's centre, sampled at the cell centres of a padded grid.
 
-    `distance` is (rows, cols) float32, cut at `max_dist`; `T_map_field` has its origin at the CENTRE
-    of cell (0, 0), so a point's field coordinates over the resolution are fractional (col, row).
+    `distance` is (rows, cols) float32, cut at a maximum that all cells at the border have; `T_map_field` has
+    its origin at the CENTRE of cell (0, 0), so a point's field coordinates over the resolution are fractional
+    (col, row).
     """
 
     distance: FloatGrid
     resolution: float
-    max_dist: float
     T_map_field: SE2
 
     def finer(self) -> tuple[FloatGrid, int]:
@@ -73,9 +73,8 @@ def distance_field(grid: OccupancyGrid, max_dist: float) -> DistanceField:
     distance = scipy.ndimage.distance_transform_edt(~np.pad(occupied, pad)) * grid.resolution
     corner = (0.5 - pad) * grid.resolution
     T_map_field = grid.T_map_grid @ SE2.from_xyt(corner, corner, 0.0)
-    return DistanceField(
-        np.minimum(distance, max_dist).astype(np.float32), grid.resolution, max_dist, T_map_field
-    )
+    cut = np.minimum(distance, max_dist).astype(np.float32)
+    return DistanceField(cut, grid.resolution, T_map_field)
 
 
 def hit_probability(

@@ -112,8 +112,8 @@ def _path(waypoints: list[tuple[float, float]], v: float = 0.2, w: float = 0.8) 
 
 
 def sampled(field, points_map):
-    """Distance of a field at points (..., 2) of the map, interpolated; max_dist off the field."""
+    """Distance of a field at points (..., 2) of the map, interpolated; beyond it, that of its border."""
     xy = (field.T_map_field.inverse() @ np.asarray(points_map, dtype=float)) / field.resolution
     table, at = field.distance.astype(float), xy.reshape(-1, 2)[:, ::-1].T
-    found = scipy.ndimage.map_coordinates(table, at, order=1, cval=field.max_dist)
+    found = scipy.ndimage.map_coordinates(table, at, order=1, cval=field.distance[0, 0])
     return found.reshape(xy.shape[:-1])
