@@ -58,7 +58,7 @@ class AgreementWatch:
 
     def random_share(self) -> float:
         """Share of random particles: how far the fast average of the agreement is below the slow one."""
-        if self._config.recovery_alpha_slow <= 0.0:
+        if self._config.recovery_alpha_slow <= 0.0 or self.slow <= 0.0:
             return 0.0
         share = 1.0 - self.fast / self.slow
         return share if share >= DOUBTFUL else 0.0

@@ -13,6 +13,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.pipeline.localisation import agreement as agreement_module
 from turtlebag.pipeline.localisation import sampling
+from turtlebag.pipeline.localisation.agreement import AgreementWatch
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.localiser import require_estimate
 from turtlebag.pipeline.localisation.parameters import AmclConfig
@@ -306,3 +307,9 @@ def test_what_a_localiser_says_after_a_scan_is_checked(name, value, told):
     require_estimate(SimpleNamespace(**said))
     with pytest.raises(InputError, match=told):
         require_estimate(SimpleNamespace(**said | {name: value}))
+
+
+def test_a_scan_that_agrees_with_nothing_is_no_division_by_zero_however_fast_the_slow_average():
+    watch = AgreementWatch(AmclConfig(recovery_alpha_slow=1.0, recovery_alpha_fast=1.0))
+    watch.update(0.0)
+    assert watch.random_share() == watch.search_share() == 0.0
