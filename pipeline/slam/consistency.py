@@ -8,7 +8,6 @@ consistent with all other true ones; false ones in a repetitive building with fe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,31 +15,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
-
-
-@dataclass(frozen=True, eq=False)
-class Recognised:
-    """Key i recognised at key j's place: `T_j_i` (3,), the quality of the fit, and the verdict. `score` is
-    that of the coarse correlation, `overlap` the share of points that fit, `violation` the share that
-    violates the other's free space."""
-
-    i: int
-    j: int
-    T_j_i: Array
-    score: float
-    overlap: float
-    violation: float
-    rmse: float
-    information: Array
-    verdict: str = "candidate"
-
-    def judged(self, verdict: str) -> Recognised:
-        """A copy with this verdict."""
-        return replace(self, verdict=verdict)
+from turtlebag.pipeline.slam.factors import Loop
 
 
 def consistency(
-    found: Sequence[Recognised], drift: Drift, reach_m: float, covariance_scale: float
+    found: Sequence[Loop], drift: Drift, reach_m: float, covariance_scale: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Matrices (n, n) over pairs of places: whether they can be compared at all, and whether they agree.
 
@@ -81,7 +60,7 @@ def _about(moves: SE2) -> Array:
     return out
 
 
-def agreeing_sets(found: Sequence[Recognised], agree: NDArray[np.bool_]) -> list[list[int]]:
+def agreeing_sets(found: Sequence[Loop], agree: NDArray[np.bool_]) -> list[list[int]]:
     """Sets of places that all agree pairwise, the best supported first; each place is in one at most.
 
     A largest clique is grown greedily from every place (Pattabiraman et al. 2015), taken out, and again.
@@ -97,7 +76,7 @@ def agreeing_sets(found: Sequence[Recognised], agree: NDArray[np.bool_]) -> list
     return sets
 
 
-def support(found: Sequence[Recognised], members: Sequence[int]) -> int:
+def support(found: Sequence[Loop], members: Sequence[int]) -> int:
     """The number of different submaps recognised in a set."""
     return len({found[k].i for k in members})
 

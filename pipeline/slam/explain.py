@@ -12,9 +12,7 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_search import Loop
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.occupancy import make_grid
 from turtlebag.pipeline.slam.pose_graph import mahalanobis, relative
 from turtlebag.pipeline.slam.selfcheck import hypothesis_shares
@@ -44,23 +42,23 @@ def _bridged(session: Session, scan: int) -> bool:
     return not bool(session.graph.unbridged[step])
 
 
-def candidate(found: Loop | Recognised, T_map_keys: SE2 | Array) -> dict[str, Any]:
+def candidate(found: Loop, T_map_keys: SE2 | Array) -> dict[str, Any]:
     """A candidate as written, with its residual at the final poses, in the plane or in space."""
     return {
         "i": found.i,
         "j": found.j,
         "T_j_i": found.T_j_i if found.T_j_i.ndim == 1 else se3.log(found.T_j_i),
-        **({"gate_m": found.gate_m} if isinstance(found, Loop) else {}),
+        **({"gate_m": found.gate_m} if not np.isnan(found.gate_m) else {}),
         "score": found.score,
         "overlap": found.overlap,
-        **({"violation": found.violation} if isinstance(found, Recognised) else {}),
+        **({"violation": found.violation} if not np.isnan(found.violation) else {}),
         "rmse_m": found.rmse,
         "verdict": found.verdict,
         **_residual(found, T_map_keys),
     }
 
 
-def _residual(found: Loop | Recognised, T_map_keys: SE2 | Array) -> dict[str, float]:
+def _residual(found: Loop, T_map_keys: SE2 | Array) -> dict[str, float]:
     if not isinstance(T_map_keys, SE2):
         off = se3.log(relative(found.T_j_i, relative(T_map_keys[found.j], T_map_keys[found.i])))
         return {

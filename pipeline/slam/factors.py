@@ -1,7 +1,8 @@
-"""The constraint of a pose graph, in the plane or in space."""
+"""The constraint of a pose graph, in the plane or in space, and the loop that may become one."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -25,6 +26,32 @@ class Constraint:
     information: Array
     kind: Kind
     cauchy: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Key i at key j's place: `T_j_i` (3,), in space (4, 4), the quality of the fit, and the verdict.
+
+    `score` is that of the search, `overlap` the share of points that fit. A candidate by distance was
+    searched within `gate_m`; of one by place recognition, `violation` is the share of points that violates
+    the other's free space. Both are NaN for the other kind.
+    """
+
+    i: int
+    j: int
+    T_j_i: Array
+    score: float
+    overlap: float
+    rmse: float
+    information: Array
+    verdict: str = "candidate"
+    gate_m: float = math.nan
+    violation: float = math.nan
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it entered the graph."""
+        return self.verdict == "accepted"
 
 
 def firm(loops: Sequence[Constraint]) -> list[Constraint]:

@@ -26,9 +26,7 @@ from turtlebag.datasets.yaml_files import checked
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker
 from turtlebag.pipeline.slam.clouds import KNOTS
-from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_search import Loop
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Graph, Session
 from turtlebag.pipeline.slam.slam import LATER, SlamConfig
@@ -121,7 +119,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         **{f"breaks_{f.name}": getattr(session.breaks, f.name) for f in fields(TrackBreaks)},
         **_columns("constraint", graph.constraints, Constraint),
         **_columns("loop", graph.loops, Loop),
-        **_columns("recognised", graph.recognised, Recognised),
+        **_columns("recognised", graph.recognised, Loop),
         "T_odom_base": None if recording.T_odom_base is None else recording.T_odom_base.xyt,
         "motion": None if session.motion is None else session.motion.xyt,
     }
@@ -197,7 +195,7 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
         SE2(stored["T_map_keys"]),
         _rows("constraint", stored, Constraint),
         _rows("loop", stored, Loop),
-        _rows("recognised", stored, Recognised),
+        _rows("recognised", stored, Loop),
         stored["unbridged"],
     )
     breaks = TrackBreaks(*(stored[f"breaks_{f.name}"] for f in fields(TrackBreaks)))

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
-from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.factors import Constraint, firm
+from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.loop_edits import HAND_M, HAND_RAD
-from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopClosing, LoopFinder, close_loops
+from turtlebag.pipeline.slam.loop_search import BATCH, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places, relaxed
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
@@ -30,7 +29,7 @@ class Closed:
     steps: list[Constraint]
     loops: list[Constraint]
     record: list[Loop]
-    recognised: list[Recognised]
+    recognised: list[Loop]
     unbridged: NDArray[np.bool_]
 
 

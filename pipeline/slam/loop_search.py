@@ -23,11 +23,10 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import KeyScans
-from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
 from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_acceptance import loop_verdict
 from turtlebag.pipeline.slam.loop_edits import NO_EDITS, KeyEdits
@@ -69,7 +68,7 @@ class LoopConfig(Settings):
         made: LoopMatch = chosen(self.match, MATCHERS, LoopMatch)()
         return made
 
-    def constraint(self, place: Loop | Recognised) -> Constraint:
+    def constraint(self, place: Loop) -> Constraint:
         """The constraint of a revisited place in the graph."""
         information = place.information / self.covariance_scale
         return Constraint(place.j, place.i, place.T_j_i, information, "loop", CAUCHY)
@@ -82,26 +81,6 @@ class LoopClosing:
     config: LoopConfig
     edits: KeyEdits = NO_EDITS
     back_end: BackEnd = GTSAM
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A candidate and its outcome: key indices, scores, verdict; `T_j_i` is (3,), in space (4, 4)."""
-
-    i: int
-    j: int
-    T_j_i: Array
-    score: float
-    overlap: float
-    rmse: float
-    gate_m: float
-    verdict: str
-    information: Array
-
-    @property
-    def accepted(self) -> bool:
-        """Whether it entered the graph."""
-        return self.verdict == "accepted"
 
 
 def close_loops(
@@ -274,13 +253,12 @@ class LoopFinder(LoopSearch):
         fine_field = make_field(clouds, place.scans, place.T_about_scans, 0.05, 0.07)
         fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, 0.01)
         if score < config.min_score:
-            return Loop(i, j, fine, score, 0.0, 0.0, gate, "low score", np.eye(3))
+            return Loop(i, j, fine, score, 0.0, 0.0, np.eye(3), "low score", gate)
         found = self.matcher.match(clouds, query, place, fine, ROUGH)
         require_alignment(self.matcher, found)
         verdict = loop_verdict(found, fine, self.matcher, clouds, (query, place), config.min_overlap)
-        return Loop(
-            i, j, found.T_map_base.xyt, score, found.overlap, found.rmse, gate, verdict, found.information
-        )
+        T_j_i, fit = found.T_map_base.xyt, (found.overlap, found.rmse, found.information)
+        return Loop(i, j, T_j_i, score, *fit, verdict, gate)
 
     def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:
         """Some keys seen from one of them."""

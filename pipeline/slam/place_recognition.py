@@ -23,10 +23,10 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
-from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
+from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.correspondences import ROUGH, Limits
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint, firm
+from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, MOST_VIOLATIONS, NEAR_M, THROUGH_M, mean_violation
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed, require_alignment
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
@@ -73,7 +73,7 @@ class Recognition:
 
     T_map_keys: SE2
     loops: list[Constraint]
-    record: list[Recognised]
+    record: list[Loop]
     part: NDArray[np.int64]
     released: NDArray[np.bool_]
 
@@ -120,7 +120,7 @@ def _candidates(
     known: Sequence[Constraint],
     config: PlaceRecognitionConfig,
     by_distance: LoopConfig,
-) -> list[Recognised]:
+) -> list[Loop]:
     """Every submap that drift may have moved beyond the reach of the loops, matched with the places that it
     resembles. A place that loops have held together since is searched only once, however often it was
     passed."""
@@ -165,7 +165,7 @@ def _settled(
     score: float,
     config: PlaceRecognitionConfig,
     matcher: LoopMatch,
-) -> Recognised:
+) -> Loop:
     """A coarse pose of the query relative to the other submap, refined and judged by all available checks."""
     clouds, keys = scans
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
@@ -188,21 +188,18 @@ def _settled(
     pairs = np.array([*product(range(len(at)), range(len(at), len(both)))])
     violation = mean_violation(clouds, np.concatenate([keys[few], place[::2]]), both, pairs, 1.0)
     information = result.information
-    place_found = Recognised(
-        query.middle, other.middle, pose, score, float(overlap), violation, result.rmse, information
-    )
+    verdict = "candidate"
     if blind(information):
-        return place_found.judged("blind in one direction")
-    if not confirmed(matcher, clouds, middle, there, pose):
-        return place_found.judged("open3d disagrees")
-    return place_found
+        verdict = "blind in one direction"
+    elif not confirmed(matcher, clouds, middle, there, pose):
+        verdict = "open3d disagrees"
+    fit = score, float(overlap), result.rmse, information
+    return Loop(query.middle, other.middle, pose, *fit, verdict, violation=violation)
 
 
-def _low_overlap(query: Submap, other: Submap, score: float, found: Alignment) -> Recognised:
-    return Recognised(
-        query.middle, other.middle, found.T_map_base.xyt, score, found.overlap, 1.0, found.rmse,
-        found.information, "low overlap",
-    )  # fmt: skip
+def _low_overlap(query: Submap, other: Submap, score: float, found: Alignment) -> Loop:
+    fit = score, found.overlap, found.rmse, found.information
+    return Loop(query.middle, other.middle, found.T_map_base.xyt, *fit, "low overlap", violation=1.0)
 
 
 def _alone(scan: int) -> Stretch:
@@ -211,11 +208,11 @@ def _alone(scan: int) -> Stretch:
 
 def _believed(
     scans: KeyScans,
-    found: list[Recognised],
+    found: list[Loop],
     drift: Drift,
     config: PlaceRecognitionConfig,
     by_distance: LoopConfig,
-) -> tuple[list[list[Recognised]], list[Recognised]]:
+) -> tuple[list[list[Loop]], list[Loop]]:
     """The accepted sets of places, and the record of all places with their verdicts."""
     good = [k for k, place in enumerate(found) if place.verdict == "candidate"]
     places = [found[k] for k in good]
@@ -250,7 +247,7 @@ def _believed(
             believed.append([places[k] for k in members])
     record = list(found)
     for k, verdict in zip(good, verdicts, strict=True):
-        record[k] = found[k].judged(verdict)
+        record[k] = replace(found[k], verdict=verdict)
     return believed, record
 
 
@@ -259,7 +256,7 @@ def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
         verdicts[k] = verdict
 
 
-def _stretch_violation(scans: KeyScans, stretch: list[Recognised], drift: Drift) -> float:
+def _stretch_violation(scans: KeyScans, stretch: list[Loop], drift: Drift) -> float:
     """Mean free-space violation of the revisits, with the whole stretch placed; 1 without any. Keys move with
     the nearest recognised one, as long as drift cannot make a wall appear to be seen through."""
     n, poses = np.arange(len(scans.keys)), drift.T_map_keys
@@ -300,7 +297,7 @@ def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
 
 
 def _laid_together(
-    poses: Array, part: NDArray[np.int64], members: list[Recognised]
+    poses: Array, part: NDArray[np.int64], members: list[Loop]
 ) -> tuple[Array, NDArray[np.int64]]:
     """Poses with the newer part of a broken track moved to the accepted places, and the parts joined."""
     best = max(members, key=lambda place: place.overlap)

@@ -12,9 +12,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
-from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.factors import Constraint, Loop
+from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.scan_poses import carried_poses
@@ -36,7 +35,7 @@ class Graph:
     T_map_keys: SE2
     constraints: list[Constraint]
     loops: list[Loop]
-    recognised: list[Recognised]
+    recognised: list[Loop]
     unbridged: NDArray[np.bool_]
 
 
@@ -142,7 +141,7 @@ def place_of(
         held = [c for c in constraints if max(c.i, c.j) < asked and c.kind not in STEPS]
         log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, breaks.first(asked - 1), held
         record = recognise_places(*log, config, LoopClosing(loops)).record
-        found = [place for place in record if place.verdict == "accepted" and place.j < n <= place.i]
+        found = [place for place in record if place.accepted and place.j < n <= place.i]
         if found:
             best = max(found, key=lambda place: place.overlap)
             return SE2(T[best.j]) @ SE2(best.T_j_i) @ SE2(T[best.i]).inverse()

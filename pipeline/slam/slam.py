@@ -20,13 +20,12 @@ from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, KeyScans, sweep_motion, sweep_motion_by_track
-from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
 from turtlebag.pipeline.slam.loop_edits import Edits, KeyEdits
-from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.odometry_trust import distrusted, jumps
@@ -128,7 +127,7 @@ class SlamResult:
         return self.session.graph.loops
 
     @property
-    def recognised(self) -> list[Recognised]:
+    def recognised(self) -> list[Loop]:
         """Loop candidates by place recognition."""
         return self.session.graph.recognised
 

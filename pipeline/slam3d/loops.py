@@ -17,10 +17,10 @@ from pydantic import Field
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
+from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint, firm
-from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopConfig, LoopSearch
+from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
+from turtlebag.pipeline.slam.loop_search import BATCH, LoopConfig, LoopSearch
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
@@ -90,17 +90,16 @@ class CloudLoops(LoopSearch):
         found = self.places.fit(j, points, rough.T, GATE_VOXELS * self.voxel)
         tilt = np.arccos(np.clip((self.T[j] @ found.T)[:3, 2] @ self.T[i][:3, 2], -1.0, 1.0))
         verdict = "accepted" if found.overlap >= MIN_OVERLAP else "low overlap"
-        return Loop(
-            i, j, found.T, rough.overlap, found.overlap, found.rmse, gate,
-            "tilted" if tilt > MAX_SLOPE_RAD else verdict, observable(found.information),
-        )  # fmt: skip
+        verdict = "tilted" if tilt > MAX_SLOPE_RAD else verdict
+        fit = rough.overlap, found.overlap, found.rmse, observable(found.information)
+        return Loop(i, j, found.T, *fit, verdict, gate)
 
     def recognised(self) -> list[Loop]:
         """Loops by appearance where the drift is too large for distance; those that agree are accepted."""
         drift = drift_of(self.poses, self.steps)
         found = self._alike(drift)
         good = [k for k, loop in enumerate(found) if loop.accepted]
-        planar = [_from_above(found[k]) for k in good]
+        planar = [replace(found[k], T_j_i=se3.planar(found[k].T_j_i).xyt) for k in good]
         comparable, agree = consistency(planar, drift, np.inf, COVARIANCE_SCALE)
         believed: list[list[int]] = []
         for members in agreeing_sets(planar, agree & comparable):
@@ -146,8 +145,3 @@ def close_loops(
         start = optimise(start, [*steps, *finder.loops, *known])
         finder = CloudLoops(keys, start, steps, voxel, config.every, known)
     return finder, recognised
-
-
-def _from_above(loop: Loop) -> Recognised:
-    T_j_i = se3.planar(loop.T_j_i).xyt
-    return Recognised(loop.i, loop.j, T_j_i, loop.score, loop.overlap, 0.0, loop.rmse, loop.information)

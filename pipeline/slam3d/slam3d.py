@@ -17,9 +17,8 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.loop_closure import Progress
-from turtlebag.pipeline.slam.loop_search import Loop
 from turtlebag.pipeline.slam.refine import RefineConfig
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.slam import Sensors, no_progress

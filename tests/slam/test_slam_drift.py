@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.consistency import Recognised, consistency
+from turtlebag.pipeline.slam.consistency import consistency
 from turtlebag.pipeline.slam.drift import ANYWHERE, HONEST, drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 
 SIGMA = np.array([0.02, 0.03, 0.01])
 
@@ -72,10 +72,8 @@ def test_a_loop_ends_the_drift_and_a_break_makes_it_anything():
     assert parted.ways([])(40)[11:] == pytest.approx(drift.ways([])(40)[11:])
 
 
-def place(i: int, j: int, T_j_i: np.ndarray) -> Recognised:
-    return Recognised(
-        i, j, T_j_i, 0.5, 0.8, 0.0, 0.01, np.diag([0.05**-2, 0.05**-2, 0.02**-2]) * HONEST * 50.0
-    )
+def place(i: int, j: int, T_j_i: np.ndarray) -> Loop:
+    return Loop(i, j, T_j_i, 0.5, 0.8, 0.01, np.diag([0.05**-2, 0.05**-2, 0.02**-2]) * HONEST * 50.0)
 
 
 @pytest.mark.slow

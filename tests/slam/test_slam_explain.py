@@ -9,10 +9,8 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import explain
 from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_search import Loop
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 
 KEYS = np.array([0, 4, 9, 15])
 POSES = SE2(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.3], [2.0, 0.2, -0.5], [2.5, 1.5, 2.0]]))
@@ -24,7 +22,7 @@ def off(i, j, shift):
 
 
 def made():
-    place = Recognised(3, 0, off(3, 0, (0.3, -0.4, 0.1)), 0.5, 0.6, 0.02, 0.01, np.eye(3), "accepted")
+    place = Loop(3, 0, off(3, 0, (0.3, -0.4, 0.1)), 0.5, 0.6, 0.01, np.eye(3), "accepted", violation=0.02)
     values = {"i": 2, "j": 0, "T_j_i": off(2, 0, (0.0, 0.05, -0.2)), "score": 0.4, "overlap": 0.7}
     loop = Loop.__new__(Loop)
     for name, value in (values | {"gate_m": 0.3, "rmse": 0.02, "verdict": "overlap"}).items():

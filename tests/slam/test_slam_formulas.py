@@ -15,9 +15,8 @@ from turtlebag.pipeline.slam import selfcheck
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.cloud_parts import joined_clouds
 from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.explain import _residual
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
 from turtlebag.pipeline.slam.refine import RADIUS_M, RefineConfig, overlapping_pairs, partner_radius, refine
 from turtlebag.pipeline.slam.scan_poses import carried_poses
@@ -27,7 +26,7 @@ from turtlebag.pipeline.slam.track import HYPOTHESES, Track
 
 
 def place(i, j, T_j_i, overlap=0.8):
-    return Recognised(i, j, np.asarray(T_j_i, dtype=float), 0.5, overlap, 0.0, 0.01, np.eye(3))
+    return Loop(i, j, np.asarray(T_j_i, dtype=float), 0.5, overlap, 0.01, np.eye(3))
 
 
 def track(n, keys, seed, odometry=True):

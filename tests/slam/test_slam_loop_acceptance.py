@@ -6,12 +6,13 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
+from turtlebag.pipeline.slam.factors import Loop
 from turtlebag.pipeline.slam.loop_closure import _spanned
-from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig, LoopFinder
 
 
 def loop(i: int, j: int, verdict: str) -> Loop:
-    return Loop(i, j, np.zeros(3), 1.0, 1.0, 0.01, 0.3, verdict, np.eye(3))
+    return Loop(i, j, np.zeros(3), 1.0, 1.0, 0.01, np.eye(3), verdict)
 
 
 def test_accepted_loops_span_the_steps_between_their_keys():

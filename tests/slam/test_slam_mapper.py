@@ -13,12 +13,12 @@ from turtlebag.datasets.types import LidarSpec, Trajectory
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.drift import HONEST
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, joined, without
 from turtlebag.pipeline.slam.growing_log import GrowingLog, heard
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
-from turtlebag.pipeline.slam.loop_search import Loop, LoopConfig, step_lengths
+from turtlebag.pipeline.slam.loop_search import LoopConfig, step_lengths
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.range_noise import RangeNoise
@@ -274,7 +274,7 @@ def test_keys_that_wait_and_the_loop_found_are_the_same_when_others_have_gone(fo
     every = np.arange(12)
     assert list(loops._waiting) == [4, 8]
     if found:
-        loops._found = Loop(10, 2, np.zeros(3), 1.0, 1.0, 0.0, 1.0, "accepted", np.eye(3))
+        loops._found = Loop(10, 2, np.zeros(3), 1.0, 1.0, 0.0, np.eye(3), "accepted")
     stays = loops.needed() | (every == 11)
     loops.keep(stays, KeyScans(clouds, every[stays]))
     np.testing.assert_allclose(loops.poses, TRUE[:12][stays], atol=1e-6)

@@ -15,9 +15,9 @@ from turtlebag.datasets.se2 import SE2, between
 from turtlebag.pipeline.slam import place_recognition
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
-from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
+from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.drift import drift_of
-from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_search import LoopConfig
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
@@ -142,8 +142,8 @@ def test_submaps_lie_on_each_other_where_they_belong():
     assert similarity(query, [query])[0] == pytest.approx(1.0)
 
 
-def place(i: int, j: int, T_j_i: tuple[float, float, float], overlap: float = 0.9) -> Recognised:
-    return Recognised(i, j, np.array(T_j_i), 0.8, overlap, 0.0, 0.01, STEP)
+def place(i: int, j: int, T_j_i: tuple[float, float, float], overlap: float = 0.9) -> Loop:
+    return Loop(i, j, np.array(T_j_i), 0.8, overlap, 0.01, STEP)
 
 
 STEP = np.diag([0.02**-2, 0.02**-2, 0.005**-2])
@@ -264,7 +264,7 @@ def test_a_place_is_believed_where_visits_violate_free_space_little_more_than_us
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
     broken = np.arange(19) == 9
     steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), "step") for k in range(19)]
-    found = [Recognised(i, i - 10, np.zeros(3), 1.0, 0.9, 0.0, 0.01, 1e6 * np.eye(3)) for i in (12, 14, 16)]
+    found = [Loop(i, i - 10, np.zeros(3), 1.0, 0.9, 0.01, 1e6 * np.eye(3)) for i in (12, 14, 16)]
     drift = drift_of(poses, steps, broken)
     believed, record = place_recognition._believed(None, found, drift, PlaceRecognitionConfig(), LoopConfig())
     assert {place.verdict for place in record} == {verdict}

@@ -10,7 +10,8 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import submaps
 from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, support
+from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, support
+from turtlebag.pipeline.slam.factors import Loop
 
 
 @pytest.mark.parametrize("broken_at", [(), (9,), (0, 20, 38)])
@@ -124,7 +125,7 @@ def test_a_submap_is_laid_on_itself_moved(off):
 
 
 def place(i, j, T_j_i, overlap=0.8):
-    return Recognised(i, j, np.asarray(T_j_i, dtype=float), 0.5, overlap, 0.0, 0.01, np.eye(3))
+    return Loop(i, j, np.asarray(T_j_i, dtype=float), 0.5, overlap, 0.01, np.eye(3))
 
 
 def test_sets_that_agree_are_taken_out_the_best_supported_first():
