@@ -125,11 +125,9 @@ class CloudLoops(LoopSearch):
                 continue
             if contexts is None:
                 contexts = Contexts([descriptor(self.places.points(k)[0], CONTEXT_M) for k in range(n)])
-            for j, yaw in contexts.like(i, far, LIKEST, UNLIKE):
-                alike = se3.exp(np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0]))
-                matched = pose_by_features(looks(i), looks(j), self.voxel, seed=1 + i * n + j)
-                tried = [self._judged(i, j, start, float(off[j])) for start in (alike, matched)]
-                found.append(max(tried, key=lambda loop: (loop.accepted, loop.overlap)))
+            for j in contexts.like(i, far, LIKEST, UNLIKE):
+                start = pose_by_features(looks(i), looks(j), self.voxel, seed=1 + i * n + j)
+                found.append(self._judged(i, j, start, float(off[j])))
         return found
 
 

@@ -2,7 +2,7 @@
 
 Kim and Kim (2018), "Scan Context: Egocentric Spatial Descriptor for Place Recognition": the greatest
 height in each ring and sector around the sensor; the rings' means find candidates (they do not turn with
-the robot), the sectors' best shift compares them and tells the heading.
+the robot), and the sectors compare them at their best shift.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ def descriptor(points: Array, reach: float) -> Array:
     return out.reshape(RINGS, SECTORS)
 
 
-def dissimilarity(a: Array, b: Array) -> tuple[float, float]:
-    """Distance 0..1 of two descriptors at the best shift, and the yaw of b's heading seen from a [rad].
+def dissimilarity(a: Array, b: Array) -> float:
+    """Distance 0..1 of two descriptors at the best shift of their sectors.
 
     One minus the mean cosine between the columns that hold something in either.
     """
@@ -45,9 +45,7 @@ def dissimilarity(a: Array, b: Array) -> tuple[float, float]:
         axis=1,
     ).sum(axis=0)
     either = np.array([np.count_nonzero(seen_a | np.roll(seen_b, k)) for k in range(SECTORS)])
-    cosines = products / np.maximum(either, 1)
-    best = int(np.argmax(cosines))
-    return float(1.0 - cosines[best]), best * 2.0 * np.pi / SECTORS
+    return float(1.0 - np.max(products / np.maximum(either, 1)))
 
 
 class Contexts:
@@ -57,13 +55,9 @@ class Contexts:
         self._all = descriptors
         self._ring_keys = np.array([one.mean(axis=1) for one in descriptors]).reshape(-1, RINGS)
 
-    def like(
-        self, index: int, allowed: NDArray[np.int64], count: int, most: float
-    ) -> list[tuple[int, float]]:
-        """The `count` most similar of the `allowed` places, (index, yaw of ours seen from it), best first;
-        none less similar than `most`."""
+    def like(self, index: int, allowed: NDArray[np.int64], count: int, most: float) -> list[int]:
+        """The `count` most similar of the `allowed` places, best first; none less similar than `most`."""
         tree = cKDTree(self._ring_keys[allowed])
         near = np.atleast_1d(tree.query(self._ring_keys[index], k=min(10 * count, len(allowed)))[1])
-        compared = [(*dissimilarity(self._all[k], self._all[index]), int(k)) for k in allowed[near]]
-        compared.sort(key=lambda one: (one[0], one[2]))
-        return [(k, yaw) for distance, yaw, k in compared[:count] if distance <= most]
+        compared = sorted((dissimilarity(self._all[k], self._all[index]), int(k)) for k in allowed[near])
+        return [k for distance, k in compared[:count] if distance <= most]

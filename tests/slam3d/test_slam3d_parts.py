@@ -161,11 +161,10 @@ def test_a_place_is_recognised_whatever_the_heading():
     turned = se3.moved(se3.inverse(se3.exp(np.array([0, 0, yaw, 0, 0, 0]))), here)
     elsewhere = here * np.array([0.5, 1.7, 1.0]) + np.array([1.5, 2.0, 0.0])
     all_ = [descriptor(points, 8.0) for points in (here, turned, elsewhere)]
-    near, heading = dissimilarity(all_[0], all_[1])
+    near = dissimilarity(all_[0], all_[1])
     assert near < 0.1
-    assert heading == pytest.approx(yaw, abs=0.06)
-    assert dissimilarity(all_[0], all_[2])[0] > near + 0.15
-    assert [k for k, _ in Contexts(all_).like(1, np.array([0, 2]), 1, 0.5)] == [0]
+    assert dissimilarity(all_[0], all_[2]) > near + 0.15
+    assert Contexts(all_).like(1, np.array([0, 2]), 1, 0.5) == [0]
 
 
 @pytest.mark.slow
