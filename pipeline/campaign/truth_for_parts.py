@@ -27,8 +27,9 @@ from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.icp_odometry import Lines
-from turtlebag.pipeline.slam.loop_closure import Closed, close_graph
+from turtlebag.pipeline.slam.loop_closure import close_graph
 from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.sessions import Graph
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps
 from turtlebag.pipeline.slam.tracker import Maker
 from turtlebag.reports.stages import Stage
@@ -80,14 +81,14 @@ def _true_front_end(truth: SE2) -> Maker:
     return TrueFrontEnd
 
 
-def _true_loops(truth: SE2) -> Callable[..., Closed]:
-    def closed(*open_graph: Any) -> Closed:
+def _true_loops(truth: SE2) -> Callable[..., Graph]:
+    def closed(*open_graph: Any) -> Graph:
         found = close_graph(*open_graph)
         scans, T_map_keys, _, steps, *_ = open_graph
         T = truth[scans.keys]
-        loops = [Constraint(x.j, x.i, (T[x.j].inverse() @ T[x.i]).xyt, SURE, "loop") for x in found.record]
+        loops = [Constraint(x.j, x.i, (T[x.j].inverse() @ T[x.i]).xyt, SURE, "loop") for x in found.loops]
         poses = optimise(T_map_keys, [*steps, *loops]) if loops else T_map_keys
-        return replace(found, T_map_keys=poses, steps=steps, loops=loops)
+        return replace(found, T_map_keys=poses, constraints=[*steps, *loops])
 
     return closed
 

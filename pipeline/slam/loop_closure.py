@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,27 +14,10 @@ from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.loop_edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.loop_search import BATCH, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places, relaxed
+from turtlebag.pipeline.slam.sessions import Graph
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
-
-
-@dataclass(frozen=True, eq=False)
-class Closed:
-    """Poses of the key scans with loops closed, the steps (weightless over bridged breaks) and loops that
-    constrain them, the records of all candidates, and the breaks that no loop bridges (keys - 1,)."""
-
-    T_map_keys: SE2
-    steps: list[Constraint]
-    loops: list[Constraint]
-    record: list[Loop]
-    recognised: list[Loop]
-    unbridged: NDArray[np.bool_]
-
-
-def unclosed(T_map_keys: SE2, breaks: TrackBreaks, steps: list[Constraint]) -> Closed:
-    """The graph of the steps alone."""
-    return Closed(T_map_keys, steps, [], [], [], breaks.broken)
 
 
 def close_graph(
@@ -46,7 +28,7 @@ def close_graph(
     by_distance: LoopClosing,
     by_looks: PlaceRecognitionConfig,
     progress: Progress,
-) -> Closed:
+) -> Graph:
     """Close all loops of a track.
 
     Distance means something only within unbroken parts of the log. Places recognised beyond its reach join
@@ -63,7 +45,8 @@ def close_graph(
 
     finder = close(T_map_keys, breaks.segments(), known)
     if not by_looks.enabled:
-        return Closed(SE2(finder.poses), steps, finder.loops, [*added, *finder.record], [], breaks.broken)
+        record = [*added, *finder.record]
+        return Graph(SE2(finder.poses), [*steps, *finder.loops], record, [], breaks.broken)
     found = recognise_places(scans, SE2(finder.poses), steps, breaks, finder.loops, by_looks, by_distance)
     record = [*added, *finder.record]
     if found.loops or breaks.broken.any():
@@ -72,7 +55,7 @@ def close_graph(
         finder = close(found.T_map_keys, found.part, [*finder.loops, *found.loops])
         record += finder.record
     unbridged = breaks.broken & ~found.released & ~_spanned(record, n)
-    return Closed(SE2(finder.poses), steps, finder.loops, record, found.record, unbridged)
+    return Graph(SE2(finder.poses), [*steps, *finder.loops], record, found.record, unbridged)
 
 
 def _added(

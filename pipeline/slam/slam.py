@@ -23,7 +23,7 @@ from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, KeyScans, sweep_mot
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
-from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
+from turtlebag.pipeline.slam.loop_closure import Progress, close_graph
 from turtlebag.pipeline.slam.loop_edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.mounting import facing
@@ -148,7 +148,7 @@ class Steps:
     """The steps that `turtlebag ablate` replaces with ground truth; `front_end` None: by the settings."""
 
     front_end: Maker | None = None
-    close_graph: Callable[..., Closed] = close_graph
+    close_graph: Callable[..., Graph] = close_graph
 
 
 USUAL = Steps()
@@ -359,16 +359,16 @@ def _optimised(
     """The graph after loop closure and joint refinement of all key poses."""
     config, keys, back_end = run.config, track.keys, make_back_end(run.config.back_end)
     edits = KeyEdits.of(run.edits, keys)
-    closed = unclosed(track.T_track_base[keys], breaks, steps)
+    graph = Graph(track.T_track_base[keys], steps, [], [], breaks.broken)
     if config.loops.enabled and len(keys) > 2:
         loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
         scans, closing = KeyScans(clouds(), keys), LoopClosing(loops, edits, back_end)
-        closed = run.steps.close_graph(
-            scans, closed.T_map_keys, breaks, steps, closing, config.place_recognition, run.progress
+        graph = run.steps.close_graph(
+            scans, graph.T_map_keys, breaks, steps, closing, config.place_recognition, run.progress
         )
-    T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:
         T_map_keys, constraints = refine(
-            clouds(), keys, T_map_keys, constraints, config.refine, edits, back_end
+            clouds(), keys, graph.T_map_keys, graph.constraints, config.refine, edits, back_end
         )
-    return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged)
+        graph = replace(graph, T_map_keys=T_map_keys, constraints=constraints)
+    return graph
