@@ -1,4 +1,4 @@
-"""Our loop matcher: point-to-line alignment, with a second opinion by Open3D's ICP."""
+"""Our loop matcher: point-to-line alignment."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from turtlebag.pipeline.slam.align import Alignment, align
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import Limits
 from turtlebag.pipeline.slam.loop_match import Stretch
-from turtlebag.pipeline.slam.open3d_icp import Open3dMatch, stays_put
+from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 
 
 class LineMatch:
@@ -23,9 +23,3 @@ class LineMatch:
         if clouds.placed_by(query.about) == "points":
             return self._points.match(clouds, query, place, start, limits)
         return align(clouds, query.about, start, place.scans, place.T_about_scans, limits)
-
-    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
-        """As in `LoopMatch`: whether Open3D's ICP would leave the scan where it is."""
-        if clouds.placed_by(query.about) == "points":
-            return self._points.confirms(clouds, query, place, pose)
-        return stays_put(clouds.of(query.about), place.points(clouds), pose)

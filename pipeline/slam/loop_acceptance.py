@@ -8,7 +8,7 @@ from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed
+from turtlebag.pipeline.slam.loop_match import Stretch
 
 # An alignment that ends farther than this from the search result [m], [rad] has moved to another place.
 PEAK = 0.15
@@ -17,7 +17,6 @@ PEAK = 0.15
 def loop_verdict(
     found: Alignment,
     searched: Array,
-    matcher: LoopMatch,
     clouds: Clouds,
     stretches: tuple[Stretch, Stretch],
     min_overlap: float,
@@ -30,8 +29,6 @@ def loop_verdict(
         return "low overlap"
     if np.abs(between(searched, T_j_i)).max() > PEAK:
         return "alignment left the peak"
-    if not confirmed(matcher, clouds, query, place, T_j_i):
-        return "open3d disagrees"
     if _violation(clouds, query, place, T_j_i) > MOST_VIOLATIONS:
         return "free-space violations"
     return "accepted"

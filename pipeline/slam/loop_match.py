@@ -51,10 +51,6 @@ class LoopMatch(Protocol):
         """
         ...
 
-    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
-        """Whether a doubtful pose (3,) is right, as a second opinion."""
-        ...
-
 
 def require_alignment(matcher: LoopMatch, found: object) -> None:
     """InputError unless `found` is a valid result of `match`."""
@@ -65,10 +61,3 @@ def require_alignment(matcher: LoopMatch, found: object) -> None:
     answer.require_finite("information", found.information, 3, 3)
     for what in ("overlap", "known", "rmse"):
         answer.require_finite(what, getattr(found, what))
-
-
-def confirmed(matcher: LoopMatch, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
-    """The result of `confirms`; InputError unless it is a bool."""
-    opinion = matcher.confirms(clouds, query, place, pose)
-    Answer(matcher, "confirms").require_kind("what it returns", opinion, bool, np.bool_)
-    return bool(opinion)

@@ -46,7 +46,7 @@ class LoopConfig(Settings):
     enabled: bool = True
     match: Annotated[str, part_of(*MATCHERS)] = Field(
         default="lines",
-        description="aligns and checks loops: our point-to-line alignment, Open3D's ICP, or your own class",
+        description="aligns loops: our point-to-line alignment, Open3D's ICP, or your own class",
     )
     every: int = Field(default=3, gt=0, description="key scans between queries")
     group: int = Field(default=6, gt=0, description="key scans before and after it that form a place")
@@ -256,7 +256,7 @@ class LoopFinder(LoopSearch):
             return Loop(i, j, fine, score, 0.0, 0.0, np.eye(3), "low score", gate)
         found = self.matcher.match(clouds, query, place, fine, ROUGH)
         require_alignment(self.matcher, found)
-        verdict = loop_verdict(found, fine, self.matcher, clouds, (query, place), config.min_overlap)
+        verdict = loop_verdict(found, fine, clouds, (query, place), config.min_overlap)
         T_j_i, fit = found.T_map_base.xyt, (found.overlap, found.rmse, found.information)
         return Loop(i, j, T_j_i, score, *fit, verdict, gate)
 

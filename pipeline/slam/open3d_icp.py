@@ -1,4 +1,4 @@
-"""Open3D's ICP: a loop matcher, the matcher for scans without surfaces, and a second opinion on ours."""
+"""Open3D's ICP: a loop matcher, and the matcher for scans without surfaces."""
 
 from __future__ import annotations
 
@@ -11,14 +11,9 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from turtlebag.pipeline.slam.correspondences import Limits
-from turtlebag.pipeline.slam.free_space import WALL_M
 from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.open3d_loader import open3d
 
-# A loop is not confirmed if fewer of its points lie within WALL_M of the place's, or if ICP on them moves
-# farther than this [m], [rad].
-MIN_FITNESS = 0.6
-MAX_SHIFT_M, MAX_TURN_RAD = 0.08, 0.03
 # Standard deviation of a point on a post, because it is seen from different sides.
 POINT_SIGMA_M = 0.02
 
@@ -61,17 +56,6 @@ def match_points(
     return PointMatch(pose, float(result.fitness), float(result.inlier_rmse), information)
 
 
-def stays_put(source: Array, target: Array, T_target_source: Array) -> bool:
-    """Whether ICP, started at `T_target_source` (3,), stays next to it and keeps most points matched."""
-    found = match_points(source, target, T_target_source, WALL_M)
-    shift = (SE2(T_target_source).inverse() @ SE2(found.T_target_source)).xyt
-    return bool(
-        found.overlap >= MIN_FITNESS
-        and np.hypot(shift[0], shift[1]) < MAX_SHIFT_M
-        and abs(shift[2]) < MAX_TURN_RAD
-    )
-
-
 class Open3dMatch:
     """Loops by Open3D's ICP: all points of the stretch on all points of the place."""
 
@@ -83,11 +67,6 @@ class Open3dMatch:
         found = match_points(source, target, start, limits.gate, limits.iterations)
         pose = SE2(found.T_target_source)
         return Alignment(pose, found.information, found.overlap, found.rmse, 1.0 - found.overlap)
-
-    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
-        """As in `LoopMatch`; a second run of ICP would only repeat the first."""
-        del clouds, query, place, pose
-        return True
 
 
 def _cloud(points: Array) -> Any:

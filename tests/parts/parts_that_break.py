@@ -116,16 +116,6 @@ class Everywhere(Open3dMatch):
         return replace(super().match(clouds, query, place, start, limits), overlap=0.9)
 
 
-class Denies(Open3dMatch):
-    def confirms(self, clouds, query, place, pose):
-        return False
-
-
-class Mumbles(Open3dMatch):
-    def confirms(self, clouds, query, place, pose):
-        return "no"
-
-
 class Idle(Gtsam):
     def optimise(self, T_map_keys, constraints, iterations=30):
         return T_map_keys

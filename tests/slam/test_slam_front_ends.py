@@ -18,8 +18,7 @@ from turtlebag.pipeline.slam.clouds import make_clouds, point_information
 from turtlebag.pipeline.slam.correspondences import Limits
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
-from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed
+from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.loop_search import MATCHERS
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps, run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
@@ -283,30 +282,6 @@ def test_loop_matchers_say_the_same_pose_in_the_same_frame(matcher):
     assert np.linalg.eigvalsh(found.information)[0] > 1e3
     still = by.match(clouds, query, place, start, Limits(0.2, 0.05, 0))
     np.testing.assert_allclose(still.T_map_base.xyt, start, atol=1e-12)
-    assert by.confirms(clouds, query, place, true)
-
-
-def test_the_line_matcher_asks_open3d_about_a_pose_in_doubt():
-    poses = around_the_room(60)
-    clouds = make_clouds(recording(ROOM, poses), 30.0)
-    one, other = (Stretch(k, np.array([k]), np.zeros((1, 3))) for k in (12, 8))
-    wrong = (SE2(poses[8]).inverse() @ SE2(poses[12])).xyt + np.array([1.0, 0.4, 0.0])
-    matcher: LoopMatch = LineMatch()
-    assert not matcher.confirms(clouds, one, other, wrong)
-
-
-class Several(LineMatch):
-    """Has an opinion for each scan."""
-
-    def confirms(self, clouds, query, place, pose):
-        return np.array([True, False])
-
-
-def test_an_opinion_that_is_neither_true_nor_false_is_told_in_one_line():
-    log = recording(ROOM, TRUTH[:100], odometry=TRUTH[:100])
-    stretch = Stretch(0, np.array([0]), np.zeros((1, 3)))
-    with pytest.raises(InputError, match="Several: confirms: what it returns must be a bool, not an array"):
-        confirmed(Several(), make_clouds(log, 30.0), stretch, stretch, np.zeros(3))
 
 
 @pytest.mark.slow

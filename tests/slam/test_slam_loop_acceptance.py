@@ -28,9 +28,6 @@ class Trusting:
     def match(self, clouds, query, place, start, limits):
         return Alignment(SE2(start), 1e3 * np.eye(3), 0.9, 0.01, 0.1)
 
-    def confirms(self, clouds, query, place, pose):
-        return True
-
 
 def test_a_loop_that_would_let_visits_see_through_walls_is_not_believed():
     true = around_the_room(150)
