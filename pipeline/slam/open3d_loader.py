@@ -3,8 +3,6 @@
 The open3d-cpu wheel links `libusb-1.0.so.0`, which a fresh machine lacks; the package `libusb-package`
 carries it. Loading that copy first, with its symbols made global, satisfies the wheel.
 
-Its plots for notebooks import dash, plotly and flask, half a second and 40 MB: they do so when one is drawn.
-
 Its point-to-plane ICP adds up in whatever order its threads finish: the last bits vary, and where a match is
 poor they grow to another pose. On one thread there is one order.
 """
@@ -12,13 +10,9 @@ poor they grow to another pose. On one thread there is one order.
 from __future__ import annotations
 
 import ctypes
-import sys
-from collections.abc import Callable
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from turtlebag.datasets.errors import InputError
 
@@ -32,7 +26,6 @@ def open3d() -> ModuleType:
     try:
         if library is not None:
             ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
-        _plots_when_asked()
         import open3d as module
 
         _keep_to_one_thread(module)
@@ -40,28 +33,6 @@ def open3d() -> ModuleType:
         raise InputError(f"open3d cannot be imported ({' '.join(str(error).split())})") from None
     module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
     return module
-
-
-PLOTS = "open3d.visualization.draw_plotly"
-
-
-def _plots_when_asked() -> None:
-    """Put off the import of Open3D's plots to the first one, unless it was imported before."""
-    if "open3d" in sys.modules:
-        return
-    stand_in = ModuleType(PLOTS)
-    for name in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
-        setattr(stand_in, name, _when_asked(name))
-    sys.modules[PLOTS] = stand_in
-
-
-def _when_asked(name: str) -> Callable[..., Any]:
-    def plot(*args: Any, **options: Any) -> Any:
-        if not hasattr(sys.modules[PLOTS], "__file__"):
-            del sys.modules[PLOTS]
-        return getattr(import_module(PLOTS), name)(*args, **options)
-
-    return plot
 
 
 class _GlobalControl(ctypes.Structure):
