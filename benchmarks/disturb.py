@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.known import Known, Mask
+from benchmarks.known_logs import Known, Mask
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.seeds import stream

@@ -22,7 +22,7 @@ from turtlebag.pipeline.navigation.driver_setup import Request
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, CostmapConfig, costmap_from_grid
-from turtlebag.planners.tasks.avoid import AvoidConfig
+from turtlebag.planners.tasks.sector_rule import AvoidConfig
 from turtlebag.planners.tasks.waypoints import tutorial_patrol
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.faults import FaultConfig

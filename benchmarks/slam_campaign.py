@@ -39,7 +39,7 @@ from benchmarks.slam_cost import COSTS, ONLINE, growth_cases, online_cases
 from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table, number_cases, number_table
 
-MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py", "benchmarks/known.py")
+MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py", "benchmarks/known_logs.py")
 DISTURBED = (*MAPPER, "benchmarks/disturb.py")
 SIMULATED = (*DISTURBED, "sim", "benchmarks/slam_logs.py")
 SPACE = (*SIMULATED, "pipeline/slam3d", "benchmarks/slam3d.py", "tests/helpers/drives3d.py")

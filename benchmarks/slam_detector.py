@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks.disturb import KINDS, SCORED, disturbed
-from benchmarks.known import Known
+from benchmarks.known_logs import Known
 from benchmarks.runner import Case, Row, grouped, share
 from benchmarks.slam_logs import PLACES, ROBOTS, driven, mapped, world_of
 from tests.helpers.made_logs import arena, office, rooms

@@ -16,7 +16,7 @@ from PIL import Image
 
 import turtlebag as tb
 from benchmarks.disturb import MODES, disturbed
-from benchmarks.known import NO_RELATIONS, Known, chosen, known
+from benchmarks.known_logs import NO_RELATIONS, Known, chosen, known
 from benchmarks.runner import Case, Row, each, every, public, public_log
 from benchmarks.slam_scores import by_relations, errors, scored
 from turtlebag.datasets.grid import OccupancyGrid

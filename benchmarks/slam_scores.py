@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.known import Known
+from benchmarks.known_logs import Known
 from benchmarks.runner import Row
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2

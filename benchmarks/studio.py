@@ -32,11 +32,11 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.studio.access import LOOPBACK, Access, listen, new_token
-from turtlebag.pipeline.studio.frames import Frames
 from turtlebag.pipeline.studio.pilot import DRAWN_EVERY_NS
 from turtlebag.pipeline.studio.server import serve
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
+from turtlebag.pipeline.studio.socket_messages import Frames
 from turtlebag.pipeline.studio.view import MapLayer, View
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world

@@ -24,8 +24,8 @@ from turtlebag.datasets.bags.plausibility import (
 )
 from turtlebag.datasets.bags.scans import Geometry, on_one_grid
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.no_return_range import no_return_value
 from turtlebag.datasets.plurals import counted
-from turtlebag.datasets.returns import no_return_value
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.trajectories import stamp_from_text
 from turtlebag.datasets.types import LidarSpec, Recording, Stamps

@@ -19,7 +19,7 @@ from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel
-from turtlebag.planners.control.monitor import padded
+from turtlebag.planners.control.collision_monitor import padded
 from turtlebag.planners.costmap import COST_SCALING, SNAP_M, Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.footprint_motions import Ground, free_from

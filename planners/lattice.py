@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.control.monitor import padded
+from turtlebag.planners.control.collision_monitor import padded
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint_motions import Ground, free_from, pull, turning
 from turtlebag.planners.grid_distance import grid_distance

@@ -13,8 +13,8 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.sim.bodies import create_body, create_compound, groups
 from turtlebag.sim.bullet import bullet
+from turtlebag.sim.bullet_bodies import create_body, create_compound, groups
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 from turtlebag.sim.shapes import Solid
 from turtlebag.sim.urdf import composite, urdf

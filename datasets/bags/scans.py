@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.decode import RawScan
 from turtlebag.datasets.bags.plausibility import directed, limits_in_millimetres, ranges_in_millimetres
-from turtlebag.datasets.returns import no_return_value
+from turtlebag.datasets.no_return_range import no_return_value
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import LidarSpec
 

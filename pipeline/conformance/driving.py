@@ -9,7 +9,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.conformance.room import (
+from turtlebag.pipeline.conformance.trial_room import (
     HEIGHT_M,
     apart,
     broken,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Scan
-from turtlebag.pipeline.conformance.room import (
+from turtlebag.pipeline.conformance.trial_room import (
     HEIGHT_M,
     LIDAR,
     apart,

@@ -11,7 +11,7 @@ import numpy as np
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.conformance.room import (
+from turtlebag.pipeline.conformance.trial_room import (
     LIDAR,
     apart,
     broken,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from turtlebag.pipeline.conformance.room import HEIGHT_M, broken, bytes_of, made, told
+from turtlebag.pipeline.conformance.trial_room import HEIGHT_M, broken, bytes_of, made, told
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.shapes import contains, sections

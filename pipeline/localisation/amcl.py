@@ -14,13 +14,13 @@ import numpy as np
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec, Scan
-from turtlebag.pipeline.localisation import motion, sampling
-from turtlebag.pipeline.localisation.agreement import ALIKE, DIFFERENT, AgreementWatch
-from turtlebag.pipeline.localisation.beams import Beams, prepare
+from turtlebag.pipeline.localisation import motion_model, resampling
+from turtlebag.pipeline.localisation.deskewed_beams import Beams, prepare
 from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
-from turtlebag.pipeline.localisation.field import LikelihoodField
 from turtlebag.pipeline.localisation.fine_pose import FinePose
 from turtlebag.pipeline.localisation.global_search import global_search
+from turtlebag.pipeline.localisation.likelihood_field import LikelihoodField
+from turtlebag.pipeline.localisation.lost_detection import ALIKE, DIFFERENT, AgreementWatch
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 
@@ -204,10 +204,10 @@ class Amcl:
     def _predict(self, T_last_base: SE2) -> None:
         """Move cloud and fine pose by odometry since the last update."""
         c = self.config
-        step = motion.decompose(T_last_base)
-        std = motion.noise_std(step, (c.alpha1, c.alpha2, c.alpha3, c.alpha4))
+        step = motion_model.decompose(T_last_base)
+        std = motion_model.noise_std(step, (c.alpha1, c.alpha2, c.alpha3, c.alpha4))
         poses = self._cloud.poses
-        motion.move(poses, step, self._rng.standard_normal(poses.shape) * std)
+        motion_model.move(poses, step, self._rng.standard_normal(poses.shape) * std)
         if self._fine is not None:
             self._fine.predict(T_last_base, step, std)
 
@@ -224,15 +224,15 @@ class Amcl:
         if share == 0.0:
             if (self.watch.updates + 1) % c.resample_interval:
                 return
-            if c.selective_resampling and sampling.effective_size(cloud.weights) > 0.5 * self.size:
+            if c.selective_resampling and resampling.effective_size(cloud.weights) > 0.5 * self.size:
                 return
         found = self._found(share, beams) if share > 0.0 else None
-        pool = sampling.low_variance(cloud.weights, c.max_particles, random())
+        pool = resampling.low_variance(cloud.weights, c.max_particles, random())
         drawn = cloud.poses[self._rng.permutation(pool)]
-        bins = sampling.bin_numbers(drawn, sampling.BIN_M, sampling.BIN_RAD)
-        count = sampling.kld_count(bins, c.kld_err, c.kld_z, c.min_particles)
+        bins = resampling.bin_numbers(drawn, resampling.BIN_M, resampling.BIN_RAD)
+        count = resampling.kld_count(bins, c.kld_err, c.kld_z, c.min_particles)
         new = 0 if found is None else int(share * count)
-        kept = cloud.poses[sampling.low_variance(cloud.weights, count - new, random())]
+        kept = cloud.poses[resampling.low_variance(cloud.weights, count - new, random())]
         self._cloud = _Cloud.even(kept if found is None else np.concatenate([kept, found[:new]]))
 
     def _found(self, share: float, beams: Beams) -> Array | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.localisation.sampling import BIN_M, BIN_RAD, bin_numbers
+from turtlebag.pipeline.localisation.resampling import BIN_M, BIN_RAD, bin_numbers
 
 # Radius of a cluster around its mean: several bins, so that no cloud is cut in two (not measured).
 REACH_XY, REACH_YAW = 0.5, 0.6

@@ -20,10 +20,15 @@ from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.pipeline.localisation.beams import Beams, evenly_spaced
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field, meets_wall
+from turtlebag.pipeline.localisation.deskewed_beams import Beams, evenly_spaced
+from turtlebag.pipeline.localisation.likelihood_field import (
+    DistanceField,
+    FloatGrid,
+    distance_field,
+    meets_wall,
+)
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
+from turtlebag.pipeline.localisation.resampling import effective_size, low_variance
 
 # With these numbers 100 of 100 robots were found in the house, and 40 of 40 in buildings not used for tuning
 # (docs/results_localisation.md); the effect of each is not measured. Poses drawn over the free space; the

@@ -10,7 +10,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Scan
-from turtlebag.pipeline.localisation.beams import Beams
+from turtlebag.pipeline.localisation.deskewed_beams import Beams
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 

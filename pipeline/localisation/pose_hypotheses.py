@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.pipeline.localisation.agreement import ALIKE, SETTLING
-from turtlebag.pipeline.localisation.beams import Beams
+from turtlebag.pipeline.localisation.deskewed_beams import Beams
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
 from turtlebag.pipeline.localisation.global_search import (
     LEAST_EFFECTIVE,
@@ -26,6 +25,7 @@ from turtlebag.pipeline.localisation.global_search import (
     GlobalSearch,
 )
 from turtlebag.pipeline.localisation.local_search import climb
+from turtlebag.pipeline.localisation.lost_detection import ALIKE, SETTLING
 
 # Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. With
 # people all round, so that less than this is explained, nothing can be said: a robot pushed about by a walker

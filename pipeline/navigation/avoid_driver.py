@@ -7,10 +7,10 @@ from collections.abc import Callable
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
-from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
+from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.control.controller import SpeedLimits, ramped
-from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, decision_line, tutorial_rule
+from turtlebag.planners.tasks.sector_rule import AvoidConfig, Decision, decision_line, tutorial_rule
 from turtlebag.sim.robots import PERIOD_S
 
 
@@ -26,7 +26,7 @@ class AvoidDriver(Driver):
         say: Callable[[str], None],
     ) -> None:
         super().__init__(sensing)
-        self._avoidance = ReactiveAvoidance(model) if config.mode == "guarded" else None
+        self._avoidance = GuardedAvoidance(model) if config.mode == "guarded" else None
         self._limits = SpeedLimits.of(model, PERIOD_S)
         self._duration_ns = nanoseconds(duration_s)
         self._say = say

@@ -11,8 +11,8 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.tasks.avoid import SLOW_V, TURN_W
 from turtlebag.planners.tasks.recovery import Move
+from turtlebag.planners.tasks.sector_rule import SLOW_V, TURN_W
 
 # Sweeps are compared once odometry has gone so far; after so much of a turn the next is begun with (without
 # that, one of three drives with bumps sees half the floor). Fewer points say nothing.

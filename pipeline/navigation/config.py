@@ -17,9 +17,9 @@ from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig
 from turtlebag.planners.global_plan import PlanConfig
-from turtlebag.planners.tasks.avoid import AvoidConfig
 from turtlebag.planners.tasks.patrol import SequenceConfig
 from turtlebag.planners.tasks.recovery import RecoveryConfig, Rung
+from turtlebag.planners.tasks.sector_rule import AvoidConfig
 from turtlebag.sim.simulator import SimConfig
 
 ControllerName = Annotated[str, part_of("pursuit", "dwa")]

@@ -18,8 +18,8 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
+from turtlebag.planners.control.collision_monitor import PADDING_M
 from turtlebag.planners.control.goal_checker import PASSING
-from turtlebag.planners.control.monitor import PADDING_M
 from turtlebag.planners.costmap import Costmap, distance_field, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import SPENT_M

@@ -21,17 +21,17 @@ from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.goal_runner import Tools
+from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.control.controller import Controller, require_twist
 from turtlebag.planners.control.dwa import Dwa
 from turtlebag.planners.control.goal_checker import PASSING
-from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.obstacle_layer import ObstacleLayer
@@ -88,7 +88,7 @@ def make_navigator(
         localiser,
         aliasing,
         tools,
-        ReactiveAvoidance(robot.model),
+        GuardedAvoidance(robot.model),
     )
     return NavigationDriver(tools, kit.sensing, sequence, relocaliser), localiser
 

@@ -19,7 +19,7 @@ from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.status_lines import News
 from turtlebag.pipeline.navigation.teleop_override import CommandOwner, Interval, Script, Source, load_script
-from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.robots import static_transforms
 from turtlebag.sim.simulator import Simulator

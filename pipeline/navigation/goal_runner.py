@@ -12,9 +12,9 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.control.collision_monitor import PADDING_M, CollisionMonitor, moved
 from turtlebag.planners.control.controller import Controller, require_twist
 from turtlebag.planners.control.goal_checker import STOPPED_V, STOPPED_W, GoalChecker, GoalCheckerConfig
-from turtlebag.planners.control.monitor import PADDING_M, CollisionMonitor, moved
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import (
     FootprintSamples,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
-from turtlebag.planners.control.monitor import depth_inside, padded
+from turtlebag.planners.control.collision_monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this time: at 0.3 m/s, an object moves 10 cm, well beyond the noise."""

@@ -6,12 +6,12 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.localisation.agreement import SETTLING
+from turtlebag.pipeline.localisation.lost_detection import SETTLING
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
+from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
-from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.tasks.wiggle import Wiggle
@@ -31,7 +31,7 @@ class Relocaliser:
         localiser: OnlineLocaliser,
         aliasing: Aliasing,
         tools: Tools,
-        avoidance: ReactiveAvoidance,
+        avoidance: GuardedAvoidance,
     ) -> None:
         self.machine = machine
         self.localiser = localiser

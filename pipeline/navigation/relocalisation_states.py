@@ -12,7 +12,7 @@ from pydantic import Field
 
 from turtlebag.datasets.durations import Seconds, nanoseconds, seconds
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.localisation.agreement import DOUBTS
+from turtlebag.pipeline.localisation.lost_detection import DOUBTS
 
 
 class State(StrEnum):

@@ -11,7 +11,7 @@ from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
-from turtlebag.planners.tasks.avoid import Sectors, read_sectors
+from turtlebag.planners.tasks.sector_rule import Sectors, read_sectors
 
 SILENT_S = 0.5
 """The robot stops after two lost scans in a row of a 5 Hz lidar."""

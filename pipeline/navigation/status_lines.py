@@ -13,8 +13,8 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.navigation.teleop_override import CommandOwner
 from turtlebag.pipeline.terminal.messages import Simulated, length
-from turtlebag.planners.tasks.avoid import in_words
 from turtlebag.planners.tasks.patrol import GoalOutcome, GoalSequence
+from turtlebag.planners.tasks.sector_rule import in_words
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.reports.metrics.navigation import THERE_M, RunMetrics, pose_error, truly_reached
 from turtlebag.sim.simulator import Truth

@@ -20,8 +20,8 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.datasets.yaml_files import checked, read_yaml
 from turtlebag.pipeline.navigation.driver import Task, require_task
+from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.control.controller import SpeedLimits, ramped
-from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.sim.robots import PERIOD_S
 
 Owner = Literal["navigation", "teleop"]

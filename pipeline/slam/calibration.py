@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.align import (
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
+from turtlebag.pipeline.slam.joint_refinement import match_pairs
+from turtlebag.pipeline.slam.point_to_line_icp import (
     CAUCHY,
     LEAST_OVERLAP,
     STEP_COVARIANCE_SCALE,
 )
-from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.pose_graph import WEAK
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
-from turtlebag.pipeline.slam.refine import match_pairs
 
 # Key scans are compared over a baseline, this much driving [m] or a radian of turning: far enough for scale
 # errors to exceed the noise of a match, near enough for the views to overlap.

@@ -12,7 +12,7 @@ from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.drift import reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
+from turtlebag.pipeline.slam.isam2_graph import GrowingGraph, without
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig, LoopFinder, step_lengths
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 

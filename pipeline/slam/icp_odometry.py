@@ -17,7 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
-from turtlebag.pipeline.slam.align import (
+from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
+from turtlebag.pipeline.slam.correlative import best_pose
+from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
+from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.kiss import SURELY_BETTER, KissIcp
+from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
+from turtlebag.pipeline.slam.point_to_line_icp import (
     CAUCHY,
     LEAST_OVERLAP,
     MOST_POINTS,
@@ -26,12 +32,6 @@ from turtlebag.pipeline.slam.align import (
     Prior,
     align,
 )
-from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
-from turtlebag.pipeline.slam.correlative import best_pose
-from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
-from turtlebag.pipeline.slam.front_end import Placed
-from turtlebag.pipeline.slam.kiss import SURELY_BETTER, KissIcp
-from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
 from turtlebag.pipeline.slam.track import HYPOTHESES, confirms
 from turtlebag.pipeline.slam.tracker import Tracker
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array, compose
-from turtlebag.pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
 from turtlebag.pipeline.slam.clouds import point_information
 from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.point_to_line_icp import MOST_POINTS, NEIGHBOURS, align
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 from turtlebag.pipeline.slam.track import HYPOTHESES
 from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.align import Alignment, align
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import Limits
 from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
+from turtlebag.pipeline.slam.point_to_line_icp import Alignment, align
 
 
 class LineMatch:

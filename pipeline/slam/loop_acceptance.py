@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
 from turtlebag.pipeline.slam.loop_match import Stretch
+from turtlebag.pipeline.slam.point_to_line_icp import LEAST_OVERLAP, Alignment
 
 # An alignment that ends farther than this from the search result [m], [rad] has moved to another place.
 PEAK = 0.15

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
 from turtlebag.pipeline.slam.correspondences import Limits
+from turtlebag.pipeline.slam.point_to_line_icp import Alignment
 
 
 @dataclass(frozen=True, eq=False)

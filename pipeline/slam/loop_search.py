@@ -20,7 +20,6 @@ from pydantic import Field
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
@@ -32,6 +31,7 @@ from turtlebag.pipeline.slam.loop_acceptance import loop_verdict
 from turtlebag.pipeline.slam.loop_edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
 from turtlebag.pipeline.slam.pose_graph import GTSAM
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}

@@ -27,9 +27,9 @@ from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
 from turtlebag.pipeline.slam.growing_columns import Columns
 from turtlebag.pipeline.slam.growing_log import GrowingLog
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
+from turtlebag.pipeline.slam.joint_refinement import refine
 from turtlebag.pipeline.slam.occupancy import make_grid
 from turtlebag.pipeline.slam.range_noise import SCANS, range_noise
-from turtlebag.pipeline.slam.refine import refine
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker

@@ -13,9 +13,9 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.align import contradiction
 from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
+from turtlebag.pipeline.slam.point_to_line_icp import contradiction
 from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
 
 # Scans contradict a step of the odometry when the two are this many standard deviations apart; this many of

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from turtlebag.pipeline.slam.correspondences import Limits
 from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.open3d_loader import open3d
+from turtlebag.pipeline.slam.point_to_line_icp import Alignment
 
 # Standard deviation of a point on a post, because it is seen from different sides.
 POINT_SIGMA_M = 0.02

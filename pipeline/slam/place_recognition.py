@@ -20,16 +20,16 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
-from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.correspondences import ROUGH, Limits
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, MOST_VIOLATIONS, NEAR_M, THROUGH_M, mean_violation
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency, support
+from turtlebag.pipeline.slam.point_to_line_icp import Alignment
 from turtlebag.pipeline.slam.submaps import (
     MOST_SHIFT,
     RESOLUTION_M,

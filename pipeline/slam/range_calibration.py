@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
-from turtlebag.pipeline.slam.align import NEIGHBOURS, STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, Limits, partner_line, relative_pose
-from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
+from turtlebag.pipeline.slam.joint_refinement import RADIUS_M, overlapping_pairs
+from turtlebag.pipeline.slam.point_to_line_icp import NEIGHBOURS, STEP_COVARIANCE_SCALE
 
 # Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square
 # of the range.

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, NEAR_M, free_space_violations
 from turtlebag.pipeline.slam.map_uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import jumps, unobserved_way
-from turtlebag.pipeline.slam.selfcheck_verdict import Verdict
+from turtlebag.pipeline.slam.point_to_line_icp import LEAST_OVERLAP
+from turtlebag.pipeline.slam.selfcheck_base import Verdict
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.turn_comparison import usual_period

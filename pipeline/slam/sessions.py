@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
-from turtlebag.pipeline.slam.scan_poses import carried_poses
+from turtlebag.pipeline.slam.reregistration import carried_poses
 from turtlebag.pipeline.slam.submaps import windows
 from turtlebag.pipeline.slam.track import Track
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks

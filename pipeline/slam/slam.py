@@ -22,11 +22,12 @@ from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clou
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, KeyScans, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
-from turtlebag.pipeline.slam.gyro import with_gyro
+from turtlebag.pipeline.slam.gyro_slip import with_gyro
+from turtlebag.pipeline.slam.joint_refinement import RefineConfig, refine
+from turtlebag.pipeline.slam.laser_mounting import facing
 from turtlebag.pipeline.slam.loop_closure import Progress, close_graph
 from turtlebag.pipeline.slam.loop_edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.odometry_trust import distrusted, jumps
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
@@ -36,9 +37,8 @@ from turtlebag.pipeline.slam.range_calibration import (
     RangeCalibration,
     calibrate_ranges,
 )
-from turtlebag.pipeline.slam.refine import RefineConfig, refine
 from turtlebag.pipeline.slam.repeated_scans import without_repeats
-from turtlebag.pipeline.slam.scan_poses import ReregistrationConfig, pose_all_scans
+from turtlebag.pipeline.slam.reregistration import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.selfcheck import SelfCheck, check_map
 from turtlebag.pipeline.slam.sessions import (
     Graph,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.pipeline.slam.align import CAUCHY, STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.icp_odometry import STEADY_SHARE
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 

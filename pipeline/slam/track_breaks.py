@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.odometry_trust import agree, too_fast
+from turtlebag.pipeline.slam.point_to_line_icp import LEAST_OVERLAP
 from turtlebag.pipeline.slam.track import Track, blind
 
 # A gap is at least this many usual periods long.

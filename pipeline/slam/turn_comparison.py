@@ -19,10 +19,10 @@ from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajectory
-from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, known_motion, make_clouds
-from turtlebag.pipeline.slam.gyro import turns_with
+from turtlebag.pipeline.slam.gyro_slip import turns_with
 from turtlebag.pipeline.slam.icp_odometry import Lines
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, RangeNoise, range_noise
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.tracker import track_log

@@ -8,9 +8,9 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.align import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.refine import RefineConfig, in_rounds, overlapping_pairs
+from turtlebag.pipeline.slam.joint_refinement import RefineConfig, in_rounds, overlapping_pairs
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
 from turtlebag.pipeline.slam3d.surfels import (
     COVARIANCE_SCALE,

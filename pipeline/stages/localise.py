@@ -26,7 +26,7 @@ from turtlebag.pipeline.localisation.localisers import LocaliserName, make_local
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
-from turtlebag.pipeline.slam.mounting import facing
+from turtlebag.pipeline.slam.laser_mounting import facing
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import Source

@@ -14,9 +14,9 @@ from turtlebag.pipeline.stages.other_systems import for_manifest, inputs_of, mea
 from turtlebag.pipeline.terminal.messages import drawing
 from turtlebag.reports.content import BAD, GOOD, build_chapter
 from turtlebag.reports.figures.album import Album
+from turtlebag.reports.foxglove_layout import viewer_layouts
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.index import index_lines, shown_outputs, used_columns
-from turtlebag.reports.layout import viewer_layouts
 from turtlebag.reports.metrics.references import NO_REFERENCES
 from turtlebag.reports.page import fill, render
 from turtlebag.reports.stages import load_stage

@@ -26,12 +26,12 @@ from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.control.controller import SpeedLimits, ramped
-from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.obstacle_layer import ObstacleLayer
-from turtlebag.planners.tasks.avoid import in_words
 from turtlebag.planners.tasks.patrol import GoalSequence
+from turtlebag.planners.tasks.sector_rule import in_words
 from turtlebag.planners.tasks.wiggle import Wiggle
 from turtlebag.sim.robots import PERIOD_S
 

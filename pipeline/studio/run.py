@@ -22,7 +22,7 @@ from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import Level
 from turtlebag.pipeline.studio.visuals import EventLog, Trails, Visuals
-from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.simulator import Simulator
 

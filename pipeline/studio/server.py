@@ -17,10 +17,10 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
 from turtlebag.pipeline.studio.base_session import BaseSession
-from turtlebag.pipeline.studio.frames import Frames, bye, hello
 from turtlebag.pipeline.studio.inputs import Button, Control, Input, Layers, Malformed, Speed, parse_message
 from turtlebag.pipeline.studio.pace import Pace
 from turtlebag.pipeline.studio.session_thread import SessionThread
+from turtlebag.pipeline.studio.socket_messages import Frames, bye, hello
 from turtlebag.pipeline.studio.view import View
 
 PAGE = Path(__file__).parent / "static"

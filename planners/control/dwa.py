@@ -15,8 +15,8 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.control.collision_monitor import moved
 from turtlebag.planners.control.controller import ACCELERATION_SHARE, Ramped, ramped
-from turtlebag.planners.control.monitor import moved
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import COST_SCALING, Costmap, distance_field, inflated_cost_at
 from turtlebag.planners.footprint import (

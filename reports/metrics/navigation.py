@@ -13,8 +13,8 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import OWNER, RunLog
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory, yaw_difference
-from turtlebag.reports.metrics.area import AreaMetrics, area_metrics
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics
+from turtlebag.reports.metrics.seen_area import AreaMetrics, area_metrics
 from turtlebag.reports.metrics.trajectory import Extremes, associate, ate, summary
 
 MOST_SPEED = 10.0

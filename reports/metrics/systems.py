@@ -20,7 +20,7 @@ from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics import evo
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics, visible_surface, walls
-from turtlebag.reports.metrics.placing import Placed, place
+from turtlebag.reports.metrics.map_alignment import Placed, place
 from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.relations import MATCH_NS, RelationErrors, nearest, relations_metrics
 from turtlebag.reports.metrics.trajectory import Drift, rpe

@@ -14,7 +14,7 @@ import pytest
 from benchmarks import runner as frame
 from benchmarks import slam_campaign, slam_logs
 from benchmarks.disturb import KINDS, SCORED
-from benchmarks.known import known
+from benchmarks.known_logs import known
 from benchmarks.runner import Case, Rows, every, in_processes
 from benchmarks.slam_detector import accuracy, detection, detector_cases, judged
 from benchmarks.slam_logs import BARE, LIDARS, MADE, MISHAPS, WORLDS, drive_cases, mishap_cases

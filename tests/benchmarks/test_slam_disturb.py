@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.disturb import KINDS, MODES, disturbed, mirror, reverse
-from benchmarks.known import Known, known
+from benchmarks.known_logs import Known, known
 from benchmarks.slam_logs import LIDARS
 from benchmarks.slam_scores import by_relations, errors
 from turtlebag.datasets.relations import Relations

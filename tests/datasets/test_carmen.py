@@ -11,9 +11,9 @@ import pytest
 from tests.helpers.carmen_lines import flaser, write
 from turtlebag.datasets.bags.convert import carmen_to_mcap
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.no_return_range import no_return_value
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import load_relations
-from turtlebag.datasets.returns import no_return_value
 
 RADISH = Path(__file__).parents[3] / "shared" / "data" / "radish"
 radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")

@@ -8,12 +8,12 @@ import pytest
 from tests.helpers.carmen_lines import flaser, write
 from tests.helpers.foreign_bags import SCAN, laser_scan, write_foreign
 from tests.helpers.slam_rooms import CORRIDOR, SICK, recording
+from turtlebag.datasets.no_return_range import no_return_value
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.returns import no_return_value
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation as Seen
 from turtlebag.datasets.types import Odometry, Scan
-from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from benchmarks.known import Known, Mask
+from benchmarks.known_logs import Known, Mask
 from tests.helpers.made_drives import Drive, FloorPlan, Lie, Sensor, Wheels, lds, make_log, points_along, sick
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream

@@ -6,7 +6,7 @@ from tests.helpers.localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 ROOM = l_shaped_room()

@@ -11,11 +11,11 @@ from tests.helpers.localisation_room import LIDAR
 from tests.localisation.filter_room import PLACE, beams_at, made, scan_at
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, wrap
-from turtlebag.pipeline.localisation import agreement as agreement_module
-from turtlebag.pipeline.localisation import sampling
-from turtlebag.pipeline.localisation.agreement import AgreementWatch
+from turtlebag.pipeline.localisation import lost_detection as agreement_module
+from turtlebag.pipeline.localisation import resampling
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.localiser import require_estimate
+from turtlebag.pipeline.localisation.lost_detection import AgreementWatch
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 
@@ -183,12 +183,14 @@ def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
     filter_._cloud.weights /= filter_._cloud.weights.sum()
     filter_.watch.updates = filter_.config.resample_interval - 1
     poses, weights, rng = filter_.particles.xyt, filter_._cloud.weights, copy.deepcopy(filter_._rng)
-    drawn = poses[rng.permutation(sampling.low_variance(weights, 900, rng.random()))]
-    count = sampling.kld_count(sampling.bin_numbers(drawn, sampling.BIN_M, sampling.BIN_RAD), 0.08, 1.5, 60)
+    drawn = poses[rng.permutation(resampling.low_variance(weights, 900, rng.random()))]
+    count = resampling.kld_count(
+        resampling.bin_numbers(drawn, resampling.BIN_M, resampling.BIN_RAD), 0.08, 1.5, 60
+    )
     filter_._resample(beams_at(PLACE))
     assert 60 < filter_.size == count < 900
     np.testing.assert_array_equal(
-        filter_.particles.xyt, poses[sampling.low_variance(weights, count, rng.random())]
+        filter_.particles.xyt, poses[resampling.low_variance(weights, count, rng.random())]
     )
 
 

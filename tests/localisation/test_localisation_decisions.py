@@ -10,7 +10,7 @@ from tests.localisation.filter_room import GRID, PLACE, beams_at, made
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import fine_pose
-from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, tempered

@@ -10,8 +10,8 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import global_search as search
-from turtlebag.pipeline.localisation.beams import evenly_spaced, prepare
-from turtlebag.pipeline.localisation.field import (
+from turtlebag.pipeline.localisation.deskewed_beams import evenly_spaced, prepare
+from turtlebag.pipeline.localisation.likelihood_field import (
     LikelihoodField,
     distance_field,
     hit_probability,

@@ -8,8 +8,8 @@ import pytest
 from tests.helpers.localisation_room import T_BASE_LIDAR
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Scan
-from turtlebag.pipeline.localisation import estimate, motion, sampling
-from turtlebag.pipeline.localisation.beams import evenly_spaced, prepare
+from turtlebag.pipeline.localisation import estimate, motion_model, resampling
+from turtlebag.pipeline.localisation.deskewed_beams import evenly_spaced, prepare
 
 
 def wrapped(angle):
@@ -66,11 +66,11 @@ def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_kld_sampling_does(mon
 
     def noted(poses, bin_xy, bin_yaw):
         asked.append((bin_xy, bin_yaw))
-        return sampling.bin_numbers(poses, bin_xy, bin_yaw)
+        return resampling.bin_numbers(poses, bin_xy, bin_yaw)
 
     monkeypatch.setattr(estimate, "bin_numbers", noted)
     estimate.main_cluster(np.zeros((4, 3)), np.full(4, 0.25))
-    assert asked == [(sampling.BIN_M, sampling.BIN_RAD)]
+    assert asked == [(resampling.BIN_M, resampling.BIN_RAD)]
 
 
 def test_the_heaviest_cluster_wins_though_the_heaviest_bin_is_another_s():
@@ -90,37 +90,37 @@ def test_the_comb_picks_what_the_cumulative_weights_say(seed):
     for count, offset in ((40, 0.3), (7, 0.0), (1, 0.99), (25, 0.5)):
         teeth = (np.arange(count) + offset) / count
         expected = np.searchsorted(np.cumsum(weights), teeth, side="left")
-        np.testing.assert_array_equal(sampling.low_variance(weights, count, offset), expected)
+        np.testing.assert_array_equal(resampling.low_variance(weights, count, offset), expected)
     # weights that rounding leaves short of one
-    np.testing.assert_array_equal(sampling.low_variance(np.array([0.5, 0.3]), 4, 0.9), [0, 0, 1, 1])
-    assert sampling.effective_size(np.array([0.5, 0.25, 0.25])) == pytest.approx(1.0 / 0.375)
+    np.testing.assert_array_equal(resampling.low_variance(np.array([0.5, 0.3]), 4, 0.9), [0, 0, 1, 1])
+    assert resampling.effective_size(np.array([0.5, 0.25, 0.25])) == pytest.approx(1.0 / 0.375)
 
 
 def test_kld_counts_as_foxs_bound_says_draw_by_draw():
     for bins in (2, 3, 10, 77):
         k, z, err = bins - 1, 2.33, 0.05
         exact = k / (2 * err) * (1 - 2 / (9 * k) + math.sqrt(2 / (9 * k)) * z) ** 3
-        assert sampling.kld_bound(bins, err, z) == math.ceil(exact)
-    assert (sampling.kld_bound(1, 0.05, 2.33), sampling.kld_bound(0, 0.05, 2.33)) == (1, 1)
+        assert resampling.kld_bound(bins, err, z) == math.ceil(exact)
+    assert (resampling.kld_bound(1, 0.05, 2.33), resampling.kld_bound(0, 0.05, 2.33)) == (1, 1)
     rng = np.random.default_rng(6)
     for std_m, least in ((0.2, 10), (0.5, 30), (1.5, 5)):
-        numbers = sampling.bin_numbers(rng.normal(0.0, std_m, (900, 3)), 0.25, 0.2)
+        numbers = resampling.bin_numbers(rng.normal(0.0, std_m, (900, 3)), 0.25, 0.2)
         drawn = 0
         while drawn < 900:
             seen = len(set(numbers[:drawn].tolist()))
-            if drawn >= max(least, sampling.kld_bound(seen, 0.1, 2.33) if seen else 0):
+            if drawn >= max(least, resampling.kld_bound(seen, 0.1, 2.33) if seen else 0):
                 break
             drawn += 1
-        assert sampling.kld_count(numbers, 0.1, 2.33, least) == drawn
+        assert resampling.kld_count(numbers, 0.1, 2.33, least) == drawn
 
 
 def test_bins_whose_hashes_meet_are_told_apart():
     grid = np.stack(np.meshgrid(*[np.arange(-6.0, 6.0)] * 3), axis=-1).reshape(-1, 3) + 0.5
     poses = np.vstack([grid, grid[::-1]])
     np.testing.assert_array_equal(
-        sampling.bin_numbers(poses, 1.0, 1.0), np.r_[np.arange(len(grid)), np.arange(len(grid))[::-1]]
+        resampling.bin_numbers(poses, 1.0, 1.0), np.r_[np.arange(len(grid)), np.arange(len(grid))[::-1]]
     )
-    assert sampling.bin_numbers(poses[:1], 1.0, 1.0).tolist() == [0]
+    assert resampling.bin_numbers(poses[:1], 1.0, 1.0).tolist() == [0]
 
 
 def test_each_particle_moves_by_its_own_noisy_copy():
@@ -130,21 +130,21 @@ def test_each_particle_moves_by_its_own_noisy_copy():
     for k in range(20):
         rot1, trans, rot2 = np.array(told) + noise[k]
         expected[k] = (SE2(poses[k]) @ SE2.from_xyt(0, 0, rot1) @ SE2.from_xyt(trans, 0, rot2)).xyt
-    motion.move(poses, told, noise)
+    motion_model.move(poses, told, noise)
     np.testing.assert_allclose(poses[:, :2], expected[:, :2], atol=1e-12)
     np.testing.assert_allclose(wrapped(poses[:, 2] - expected[:, 2]), 0.0, atol=1e-12)
     assert np.abs(poses[:, 2]).max() <= math.pi
 
 
 def test_motions_of_less_than_a_centimetre_are_turns_and_backwards_ones_point_ahead():
-    assert motion.decompose(SE2.from_xyt(0.006, 0.0079, 0.3)) == pytest.approx(
+    assert motion_model.decompose(SE2.from_xyt(0.006, 0.0079, 0.3)) == pytest.approx(
         (0.0, math.hypot(0.006, 0.0079), 0.3)
     )
-    rot1, trans, rot2 = motion.decompose(SE2.from_xyt(0.03, 0.04, 0.3))
+    rot1, trans, rot2 = motion_model.decompose(SE2.from_xyt(0.03, 0.04, 0.3))
     assert (rot1, trans, rot2) == pytest.approx((math.atan2(4, 3), 0.05, 0.3 - math.atan2(4, 3)))
-    rot1, trans, rot2 = motion.decompose(SE2.from_xyt(-0.03, -0.04, 3.0))
+    rot1, trans, rot2 = motion_model.decompose(SE2.from_xyt(-0.03, -0.04, 3.0))
     assert (rot1, trans, rot2) == pytest.approx((math.atan2(4, 3), -0.05, 3.0 - math.atan2(4, 3)))
-    sideways = motion.decompose(SE2.from_xyt(0.0, 0.05, 0.0))
+    sideways = motion_model.decompose(SE2.from_xyt(0.0, 0.05, 0.0))
     assert sideways == pytest.approx((0.5 * math.pi, 0.05, -0.5 * math.pi))
 
 

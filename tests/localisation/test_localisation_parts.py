@@ -13,11 +13,11 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
-from turtlebag.pipeline.localisation import motion, sampling
-from turtlebag.pipeline.localisation.beams import evenly_spaced, prepare
+from turtlebag.pipeline.localisation import motion_model, resampling
+from turtlebag.pipeline.localisation.deskewed_beams import evenly_spaced, prepare
 from turtlebag.pipeline.localisation.estimate import main_cluster
-from turtlebag.pipeline.localisation.field import distance_field, hit_probability, sum_over_beams
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, path_probabilities, tempered
+from turtlebag.pipeline.localisation.likelihood_field import distance_field, hit_probability, sum_over_beams
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
@@ -95,23 +95,23 @@ def test_a_map_without_walls_is_refused():
 def test_a_motion_without_noise_is_the_odometry_itself(x, y, yaw, heading):
     T_base_new = SE2.from_xyt(x, y, yaw)
     poses = np.array([[1.0, 2.0, heading]])
-    motion.move(poses, motion.decompose(T_base_new), np.zeros((1, 3)))
+    motion_model.move(poses, motion_model.decompose(T_base_new), np.zeros((1, 3)))
     wanted = SE2.from_xyt(1.0, 2.0, heading) @ T_base_new
     # Steps below 1 cm count as turns on the spot, then a step along the old heading.
-    tolerance = 1e-9 if math.hypot(x, y) >= motion.MIN_STEP_M else 2.0 * motion.MIN_STEP_M
+    tolerance = 1e-9 if math.hypot(x, y) >= motion_model.MIN_STEP_M else 2.0 * motion_model.MIN_STEP_M
     assert np.allclose(SE2(poses[0]).xy, wanted.xy, atol=tolerance)
     assert abs(float((SE2(poses[0]).inverse() @ wanted).yaw)) < 1e-9
 
 
 def test_driving_backwards_is_not_a_turn_by_pi():
-    rot1, trans, rot2 = motion.decompose(SE2.from_xyt(-0.2, 0.01, 0.05))
+    rot1, trans, rot2 = motion_model.decompose(SE2.from_xyt(-0.2, 0.01, 0.05))
     assert abs(rot1) < 0.1
     assert abs(rot2) < 0.11
     assert trans == pytest.approx(-math.hypot(0.2, 0.01))
 
 
 def test_alphas_are_variances():
-    std = motion.noise_std((0.3, 0.5, -0.2), (0.1, 0.2, 0.3, 0.4))
+    std = motion_model.noise_std((0.3, 0.5, -0.2), (0.1, 0.2, 0.3, 0.4))
     assert std[0] ** 2 == pytest.approx(0.1 * 0.09 + 0.2 * 0.25)
     assert std[1] ** 2 == pytest.approx(0.3 * 0.25 + 0.4 * (0.09 + 0.04))
     assert std[2] ** 2 == pytest.approx(0.1 * 0.04 + 0.2 * 0.25)
@@ -124,7 +124,7 @@ def test_alphas_are_variances():
 def test_low_variance_draws_each_particle_its_share_to_within_one(raw, offset):
     weights = np.array(raw) + 1e-3
     weights /= weights.sum()
-    counts = np.bincount(sampling.low_variance(weights, 200, offset), minlength=len(weights))
+    counts = np.bincount(resampling.low_variance(weights, 200, offset), minlength=len(weights))
     assert np.abs(counts - 200 * weights).max() < 1.0 + 1e-6
 
 
@@ -133,21 +133,21 @@ def test_kld_bound_grows_with_bins_and_meets_the_chi_square_quantile():
 
     for bins in (5, 50, 500):
         exact = chi2.ppf(0.99, bins - 1) / (2.0 * 0.02)
-        assert sampling.kld_bound(bins, 0.02, 2.3263) == pytest.approx(exact, rel=0.02)
-    assert sampling.kld_bound(1, 0.02, 2.33) == 1
+        assert resampling.kld_bound(bins, 0.02, 2.3263) == pytest.approx(exact, rel=0.02)
+    assert resampling.kld_bound(1, 0.02, 2.33) == 1
 
 
 def test_kld_needs_few_particles_for_a_point_and_many_for_a_cloud():
     rng = np.random.default_rng(1)
-    narrow = sampling.bin_numbers(0.01 * rng.standard_normal((3000, 3)) + 0.12, 0.25, 0.2)
-    wide = sampling.bin_numbers(rng.uniform(-3.0, 3.0, size=(3000, 3)), 0.25, 0.2)
-    assert sampling.kld_count(narrow, 0.02, 2.33, 100) == 100
-    assert sampling.kld_count(wide, 0.02, 2.33, 100) == 3000
+    narrow = resampling.bin_numbers(0.01 * rng.standard_normal((3000, 3)) + 0.12, 0.25, 0.2)
+    wide = resampling.bin_numbers(rng.uniform(-3.0, 3.0, size=(3000, 3)), 0.25, 0.2)
+    assert resampling.kld_count(narrow, 0.02, 2.33, 100) == 100
+    assert resampling.kld_count(wide, 0.02, 2.33, 100) == 3000
 
 
 def test_bins_are_those_of_a_plain_histogram():
     poses = np.random.default_rng(2).uniform(-2.0, 2.0, size=(500, 3))
-    numbers = sampling.bin_numbers(poses, 0.5, 0.3)
+    numbers = resampling.bin_numbers(poses, 0.5, 0.3)
     plain = [tuple(row) for row in np.floor(poses / [0.5, 0.5, 0.3]).astype(int)]
     order = {key: i for i, key in enumerate(dict.fromkeys(plain))}
     assert numbers.tolist() == [order[key] for key in plain]
@@ -223,7 +223,7 @@ def test_a_beam_through_a_wall_and_a_silent_one_into_a_wall_speak_against_a_pose
 def test_tempering_leaves_enough_candidates(raw):
     weights = tempered(np.array(raw))
     assert weights.sum() == pytest.approx(1.0)
-    assert sampling.effective_size(weights) >= 0.02 * len(raw) * 0.99
+    assert resampling.effective_size(weights) >= 0.02 * len(raw) * 0.99
 
 
 # parameters of others

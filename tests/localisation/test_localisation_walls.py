@@ -11,7 +11,7 @@ from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Scan
-from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.localisation.small_matrices import multiply, solve
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import FIXED, POSE, WallFilter

@@ -10,7 +10,7 @@ from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.pose_hypotheses import (
     Aliasing,

@@ -12,9 +12,9 @@ from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, l_s
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan, Twist
-from turtlebag.pipeline.localisation.beams import prepare
-from turtlebag.pipeline.localisation.field import distance_field
+from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.localisation.global_search import GlobalSearch
+from turtlebag.pipeline.localisation.likelihood_field import distance_field
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.pose_hypotheses import (
     ALIKE,

@@ -6,8 +6,8 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch, in_company
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
-from turtlebag.planners.tasks.avoid import Sectors
 from turtlebag.planners.tasks.recovery import Ladder, RecoveryConfig, Rung
+from turtlebag.planners.tasks.sector_rule import Sectors
 from turtlebag.sim.robots import load_robot
 
 BURGER = load_robot("burger").model

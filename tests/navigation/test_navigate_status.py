@@ -13,8 +13,8 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.terminal.messages import length
-from turtlebag.planners.tasks.avoid import AvoidConfig, Sectors, in_words
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
+from turtlebag.planners.tasks.sector_rule import AvoidConfig, Sectors, in_words
 from turtlebag.planners.tasks.waypoints import Waypoint, parse_waypoint
 from turtlebag.reports.numbers import shown
 from turtlebag.sim.robots import load_robot

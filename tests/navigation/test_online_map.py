@@ -13,7 +13,7 @@ from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.tasks.avoid import Sectors
+from turtlebag.planners.tasks.sector_rule import Sectors
 
 TRUE = around_the_room(200, laps=2)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.types import LidarSpec, Scan, Twist
-from turtlebag.planners.tasks.avoid import Sectors, decision_line, read_sectors, tutorial_rule
+from turtlebag.planners.tasks.sector_rule import Sectors, decision_line, read_sectors, tutorial_rule
 
 LDS = LidarSpec(360, 0.0, math.pi / 180.0, 0.12, 3.5)
 

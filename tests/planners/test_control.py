@@ -9,16 +9,16 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Twist
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
-from turtlebag.planners.control.controller import SpeedLimits, ramped, require_twist
-from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
-from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
-from turtlebag.planners.control.monitor import (
+from turtlebag.planners.control.collision_monitor import (
     CollisionMonitor,
     depth_inside,
     free_time,
     moved,
     padded,
 )
+from turtlebag.planners.control.controller import SpeedLimits, ramped, require_twist
+from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
+from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.smoothing import densify, with_headings

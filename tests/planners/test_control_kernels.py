@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
+from turtlebag.planners.control.collision_monitor import depth_inside, free_time, moved, padded
 from turtlebag.planners.control.dwa import COMFORT_M, STEP_S, ArcFloor, ArcWeights, _value, best_arc
-from turtlebag.planners.control.monitor import depth_inside, free_time, moved, padded
 from turtlebag.planners.costmap import clearance_field, distance_field
 from turtlebag.planners.footprint import field_at, footprint_clearance, sample_footprint
 from turtlebag.planners.grid_distance import grid_distance

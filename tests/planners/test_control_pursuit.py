@@ -10,9 +10,9 @@ from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import Twist
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along
+from turtlebag.planners.control.collision_monitor import CollisionMonitor, free_time, moved, padded
 from turtlebag.planners.control.controller import Ramped, SpeedLimits, ramped
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
-from turtlebag.planners.control.monitor import CollisionMonitor, free_time, moved, padded
 from turtlebag.planners.control.pursuit import (
     LOOKAHEAD_M,
     LOOKAHEAD_S,

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel
-from turtlebag.planners.control.monitor import padded
+from turtlebag.planners.control.collision_monitor import padded
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.footprint_motions import Ground, free_from

@@ -5,7 +5,7 @@ import pytest
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.reports.metrics.area import area_metrics, floor_seen
+from turtlebag.reports.metrics.seen_area import area_metrics, floor_seen
 
 AT_LIDAR = SE2.identity()
 

@@ -33,7 +33,7 @@ from turtlebag.pipeline.stages.compare import compare_with_systems
 from turtlebag.pipeline.stages.verify import verify
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.map import map_metrics, walls
-from turtlebag.reports.metrics.placing import place
+from turtlebag.reports.metrics.map_alignment import place
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.systems import References, measure
 from turtlebag.reports.system_comparison import compare_systems

@@ -17,9 +17,15 @@ from turtlebag.pipeline.slam.cloud_parts import joined_clouds
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.explain import _residual
 from turtlebag.pipeline.slam.factors import Constraint, Loop
+from turtlebag.pipeline.slam.joint_refinement import (
+    RADIUS_M,
+    RefineConfig,
+    overlapping_pairs,
+    partner_radius,
+    refine,
+)
 from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
-from turtlebag.pipeline.slam.refine import RADIUS_M, RefineConfig, overlapping_pairs, partner_radius, refine
-from turtlebag.pipeline.slam.scan_poses import carried_poses
+from turtlebag.pipeline.slam.reregistration import carried_poses
 from turtlebag.pipeline.slam.selfcheck import _revisits, contradicted_keys, hypothesis_shares
 from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
 from turtlebag.pipeline.slam.track import HYPOTHESES, Track

@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.known import Known
+from benchmarks.known_logs import Known
 from benchmarks.slam_logs import narrow
 from benchmarks.slam_scores import errors
 from tests.helpers.made_drives import Drive, Lie, Sensor, Wheels, make_log, sick
@@ -17,8 +17,8 @@ from tests.helpers.slam_rooms import recording, rectangle
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.joint_refinement import refine
 from turtlebag.pipeline.slam.pose_graph import optimise
-from turtlebag.pipeline.slam.refine import refine
 from turtlebag.pipeline.slam.selfcheck import contradicted_keys
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam, step_constraints
 

@@ -8,7 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.se2 import SE2, between
-from turtlebag.pipeline.slam.align import (
+from turtlebag.pipeline.slam.calibration import GROSS
+from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.correspondences import MIN_NORMAL_DOT, Limits, find_partner
+from turtlebag.pipeline.slam.free_space import violation_shares
+from turtlebag.pipeline.slam.joint_refinement import linearise_pairs
+from turtlebag.pipeline.slam.odometry_trust import CONTRADICTION_SIGMAS, RECENT, SEVERAL, OdometryTrust
+from turtlebag.pipeline.slam.pairwise_consistency import _grow
+from turtlebag.pipeline.slam.point_to_line_icp import (
     FAKED,
     NO_PRIOR,
     PRIOR_SHARE,
@@ -24,14 +31,7 @@ from turtlebag.pipeline.slam.align import (
     contradiction,
     observable,
 )
-from turtlebag.pipeline.slam.calibration import GROSS
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.consistency import _grow
-from turtlebag.pipeline.slam.correspondences import MIN_NORMAL_DOT, Limits, find_partner
-from turtlebag.pipeline.slam.free_space import violation_shares
-from turtlebag.pipeline.slam.odometry_trust import CONTRADICTION_SIGMAS, RECENT, SEVERAL, OdometryTrust
 from turtlebag.pipeline.slam.range_noise import SIGMAS
-from turtlebag.pipeline.slam.refine import linearise_pairs
 from turtlebag.pipeline.slam.track import OdometryNoise
 
 POSES = np.array([[1.2, 1.0, 0.0], [1.8, 1.5, 1.0], [1.4, 2.0, -1.0], [5.0, 4.6, 3.0], [1.5, 1.2, 0.3]])

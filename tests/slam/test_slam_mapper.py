@@ -15,9 +15,9 @@ from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.drift import HONEST
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
-from turtlebag.pipeline.slam.growing_graph import GrowingGraph, joined, without
 from turtlebag.pipeline.slam.growing_log import GrowingLog, heard
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
+from turtlebag.pipeline.slam.isam2_graph import GrowingGraph, joined, without
 from turtlebag.pipeline.slam.loop_search import LoopConfig, step_lengths
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.pose_graph import optimise

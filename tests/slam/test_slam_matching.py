@@ -8,13 +8,6 @@ import pytest
 from tests.helpers.slam_rooms import CORRIDOR, LDS, ROOM, SICK, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.pipeline.slam.align import (
-    FAKED,
-    STEP_COVARIANCE_SCALE,
-    Prior,
-    align,
-    observable,
-)
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.correlative import (
     UNSEEN,
@@ -24,7 +17,14 @@ from turtlebag.pipeline.slam.correlative import (
     points_in_map,
 )
 from turtlebag.pipeline.slam.correspondences import Limits, find_partner
-from turtlebag.pipeline.slam.refine import linearise_pairs, overlapping_pairs, pair_constraints
+from turtlebag.pipeline.slam.joint_refinement import linearise_pairs, overlapping_pairs, pair_constraints
+from turtlebag.pipeline.slam.point_to_line_icp import (
+    FAKED,
+    STEP_COVARIANCE_SCALE,
+    Prior,
+    align,
+    observable,
+)
 from turtlebag.pipeline.slam.track import blind
 
 HERE = np.array([1.5, 1.2, 0.3])

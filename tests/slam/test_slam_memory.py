@@ -15,7 +15,7 @@ from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, 
 from turtlebag.datasets.carmen import parse_carmen
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam import cloud_parts, occupancy, scan_poses, submaps
+from turtlebag.pipeline.slam import cloud_parts, occupancy, reregistration, submaps
 from turtlebag.pipeline.slam.cloud_parts import among, chosen
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
@@ -56,7 +56,7 @@ def test_only_the_points_of_key_scans_stay_in_memory(monkeypatch):
 
     monkeypatch.setattr(cloud_parts, "FEW_READINGS", 0)
     monkeypatch.setattr(cloud_parts, "make_clouds", counted)
-    monkeypatch.setattr(scan_poses, "SCANS_AT_ONCE", 7)
+    monkeypatch.setattr(reregistration, "SCANS_AT_ONCE", 7)
     result = run_slam(LOG, SlamConfig())
     keys = result.keys
     others = len(LOG) - len(keys)

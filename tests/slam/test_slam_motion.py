@@ -13,14 +13,14 @@ from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.pipeline.localisation.beams import prepare
-from turtlebag.pipeline.slam.align import Prior, align
+from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.slam.calibration import calibrate
 from turtlebag.pipeline.slam.clouds import make_clouds, sweep_motion
 from turtlebag.pipeline.slam.correspondences import Limits
 from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
-from turtlebag.pipeline.slam.scan_poses import ReregistrationConfig, pose_all_scans
+from turtlebag.pipeline.slam.point_to_line_icp import Prior, align
+from turtlebag.pipeline.slam.reregistration import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.track import OdometryNoise, TrackingConfig
 from turtlebag.pipeline.slam.tracker import track_log
 from turtlebag.pipeline.stages.localise import sweep_ends

@@ -5,9 +5,9 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
-from turtlebag.pipeline.slam.align import STEP_COVARIANCE_SCALE, contradiction
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, distrusted, unobserved_way
+from turtlebag.pipeline.slam.point_to_line_icp import STEP_COVARIANCE_SCALE, contradiction
 from turtlebag.pipeline.slam.track import OdometryNoise, Track
 
 

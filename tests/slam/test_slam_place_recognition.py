@@ -6,21 +6,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.known import Known
+from benchmarks.known_logs import Known
 from benchmarks.slam_scores import errors
 from tests.helpers.made_drives import Drive, FloorPlan, Sensor, Wheels, make_log, sick
 from tests.helpers.made_logs import WHEELS, interval, office_plan, without
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between
 from turtlebag.pipeline.slam import place_recognition
-from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
-from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.drift import drift_of
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_search import LoopConfig
+from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
+from turtlebag.pipeline.slam.point_to_line_icp import Alignment
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, make_submap, similarity, windows
 

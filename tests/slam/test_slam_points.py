@@ -13,10 +13,10 @@ from benchmarks.slam_scores import errors
 from tests.helpers.made_logs import arena, posts
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.slam.align import STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.open3d_icp import POINT_SIGMA_M, match_points
+from turtlebag.pipeline.slam.point_to_line_icp import STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.threads import WORTH_IT, in_parts

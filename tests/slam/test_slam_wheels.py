@@ -9,7 +9,7 @@ from tests.helpers.slam_rooms import random_poses
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import ImuLog
 from turtlebag.pipeline.slam import calibration as calib
-from turtlebag.pipeline.slam import gyro as gyros
+from turtlebag.pipeline.slam import gyro_slip as gyros
 from turtlebag.pipeline.slam.calibration import Calibration
 
 

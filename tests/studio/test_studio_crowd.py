@@ -12,8 +12,8 @@ from tornado.iostream import IOStream
 
 from tests.studio.fakes import FakeSession, Served, answers, connect, run
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.pipeline.studio import frames as frames_module
 from turtlebag.pipeline.studio import server
+from turtlebag.pipeline.studio import socket_messages as frames_module
 from turtlebag.pipeline.studio.view import MapLayer
 
 

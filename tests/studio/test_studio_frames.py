@@ -14,7 +14,7 @@ from docs.examples.studio_client import BLANK, Picture, decoded
 from tests.studio.fakes import SCENE, view
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.studio.frames import COLUMNS, Frames, bye, hello
+from turtlebag.pipeline.studio.socket_messages import COLUMNS, Frames, bye, hello
 from turtlebag.pipeline.studio.tiles import MARGIN, TILE, changed_tiles
 from turtlebag.pipeline.studio.view import Event, GoalMark, Graph, MapLayer, Path, SectorMarks
 

@@ -19,7 +19,13 @@ from pydantic import Field
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.align import (
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.correspondences import FINE, ROUGH, Limits, partner_line, relative_pose
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.loop_edits import NO_EDITS, KeyEdits
+from turtlebag.pipeline.slam.open3d_icp import match_points
+from turtlebag.pipeline.slam.point_to_line_icp import (
     CAUCHY,
     LEAST_OVERLAP,
     NEIGHBOURS,
@@ -29,12 +35,6 @@ from turtlebag.pipeline.slam.align import (
     add_equation,
     observable,
 )
-from turtlebag.pipeline.slam.back_end import BackEnd, solved
-from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.correspondences import FINE, ROUGH, Limits, partner_line, relative_pose
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_edits import NO_EDITS, KeyEdits
-from turtlebag.pipeline.slam.open3d_icp import match_points
 from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise
 from turtlebag.pipeline.slam.threads import in_parts
 

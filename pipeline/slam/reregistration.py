@@ -13,10 +13,16 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP, MOST_POINTS, NEIGHBOURS, Prior, align_kernel
 from turtlebag.pipeline.slam.cloud_parts import chosen, joined_clouds
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, Limits
+from turtlebag.pipeline.slam.point_to_line_icp import (
+    LEAST_OVERLAP,
+    MOST_POINTS,
+    NEIGHBOURS,
+    Prior,
+    align_kernel,
+)
 from turtlebag.pipeline.slam.pose_graph import Poses, relative
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import Track

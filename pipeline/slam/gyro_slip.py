@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import ImuLog, Recording, Trajectory
-from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.calibration import GROSS, ODOMETRY_SHARE
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, SIGMAS
 
 # A gyro with a longer period or longer gaps than this is not used across them [s].

@@ -15,9 +15,9 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.bump_memory import BACK_OFF_M, BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
-from turtlebag.planners.control.monitor import CollisionMonitor
-from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
+from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.tasks.recovery import ProgressWatch
+from turtlebag.planners.tasks.sector_rule import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
 
 # Half the corridor kept free ahead is half the robot's width and this; something in it nearer than this
 # before the nose counts as the nearest tier [m].
@@ -32,7 +32,7 @@ MOST_FLIPS = 3
 RESTLESS_S, RESTLESS_M = 19.9, 0.4
 
 
-class ReactiveAvoidance:
+class GuardedAvoidance:
     """Decides at every sweep, and watches over every command."""
 
     def __init__(self, model: RobotModel) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.localisation.beams import Beams, evenly_spaced
+from turtlebag.pipeline.localisation.deskewed_beams import Beams, evenly_spaced
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 FloatGrid = NDArray[np.float32]

@@ -10,9 +10,9 @@ from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, _misfit
-from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance, _to_most_room
+from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance, _to_most_room
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
-from turtlebag.planners.tasks.avoid import Decision, Sectors
+from turtlebag.planners.tasks.sector_rule import Decision, Sectors
 
 S, HERE = 10**9, SE2.identity()
 OPEN = Sectors(1.5, 2.0, 1.5)
@@ -26,7 +26,7 @@ def view(points=FAR, now=0.0, pose=None, sectors=OPEN):
 
 
 def avoidance():
-    return ReactiveAvoidance(BURGER)
+    return GuardedAvoidance(BURGER)
 
 
 def test_the_gap_is_the_free_length_before_the_nose_within_the_corridor():
