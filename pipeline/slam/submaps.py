@@ -92,20 +92,27 @@ def similarity(query: Submap, others: list[Submap]) -> Array:
     return np.array([float(np.minimum(query.signature, other.signature).sum()) for other in others])
 
 
-def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
-    """The best distinct poses (3,) of the query's middle seen from the other's, with their scores 0..1."""
+Pictures = dict[int, tuple[NDArray[np.complex64], np.float32]]
+"""Of a submap, by heading: the conjugate spectrum of its picture, and how many cells of that are filled."""
+
+
+def laid_on(query: Submap, other: Submap, made: Pictures) -> list[tuple[float, Array]]:
+    """The best distinct poses (3,) of the query's middle seen from the other's, with their scores 0..1.
+
+    `made` keeps the query's pictures for the next other.
+    """
     candidates: list[tuple[float, Array]] = []
     inner = query.points[np.linalg.norm(query.points, axis=1) < REACH_M - 2.0]
-    if len(inner) == 0:
+    headings = _headings(query.directions, other.directions)
+    if len(inner) == 0 or not headings:
         return []
-    yaws = np.array(_headings(query.directions, other.directions)) * 2.0 * np.pi / HEADINGS
-    cells = _cells(SE2.from_xyt(0.0, 0.0, yaws[:, None]) @ inner) % CELLS
-    images = np.zeros((len(yaws), CELLS, CELLS), dtype=np.float32)
-    images[np.arange(len(yaws))[:, None], cells[..., 1], cells[..., 0]] = 1.0
+    if new := [heading for heading in headings if heading not in made]:
+        made.update(_pictures(inner, new))
     # all headings in one transform, because calls cost more than the work
-    products = other.spectrum * np.conj(scipy.fft.rfft2(images))
-    scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / images.sum(axis=(1, 2))[:, None, None]
-    for yaw, window in zip(yaws.tolist(), _windows(scores), strict=True):
+    products = other.spectrum * np.stack([made[heading][0] for heading in headings])
+    filled = np.array([made[heading][1] for heading in headings])
+    scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / filled[:, None, None]
+    for yaw, window in zip(_yaws(headings).tolist(), _windows(scores), strict=True):
         for value, dx, dy in _best_shifts(window, CANDIDATES):
             candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
     candidates.sort(key=lambda pair: -pair[0])
@@ -118,6 +125,18 @@ def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
             if len(chosen) == CANDIDATES:
                 break
     return chosen
+
+
+def _pictures(points: Array, headings: list[int]) -> Pictures:
+    cells = _cells(SE2.from_xyt(0.0, 0.0, _yaws(headings)[:, None]) @ points) % CELLS
+    images = np.zeros((len(headings), CELLS, CELLS), dtype=np.float32)
+    images[np.arange(len(headings))[:, None], cells[..., 1], cells[..., 0]] = 1.0
+    spectra = np.conj(scipy.fft.rfft2(images))
+    return dict(zip(headings, zip(spectra, images.sum(axis=(1, 2)), strict=True), strict=True))
+
+
+def _yaws(headings: list[int]) -> Array:
+    return np.array(headings) * 2.0 * np.pi / HEADINGS
 
 
 def _thinned(points: Array, normals: Array) -> Array:

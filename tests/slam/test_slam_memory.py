@@ -113,7 +113,7 @@ def test_two_submaps_are_compared_with_one_transform_there_and_one_back(monkeypa
         monkeypatch.setattr(
             submaps.scipy.fft, name, lambda *args, of=transform, name=name: (calls.append(name), of(*args))[1]
         )
-    assert submaps.laid_on(a, b)
+    assert submaps.laid_on(a, b, {})
     assert sorted(calls) == ["irfft2", "rfft2"]
 
 

@@ -136,7 +136,7 @@ def test_submaps_lie_on_each_other_where_they_belong():
     submaps = [make_submap(clouds, keys, turned, *item) for item in chosen.items()]
     query, other = submaps[-1], submaps[0]
     true = between(truth[keys[other.middle]], truth[keys[query.middle]])
-    score_, pose = laid_on(query, other)[0]
+    score_, pose = laid_on(query, other, {})[0]
     assert score_ > 0.6
     assert np.hypot(*(pose[:2] - true[:2])) < 0.3
     assert similarity(query, [query])[0] == pytest.approx(1.0)
@@ -190,7 +190,7 @@ def test_a_place_is_looked_for_near_where_the_track_has_it(monkeypatch):
     def seen_from(query, other):
         return between(poses[other.middle], poses[query.middle])
 
-    def laid(query, other):
+    def laid(query, other, _):
         return [(1.0, seen_from(query, other) + np.array([away, 0.0, 0.0])) for away in (0.0, 1e3)]
 
     def settled(scans, query, other, start, *_):

@@ -116,7 +116,7 @@ def test_a_submap_is_laid_on_itself_moved(off):
     shifted = poses[keys].copy()
     shifted[6] = (SE2(shifted[6]) @ T).xyt
     query = submaps.make_submap(clouds, keys, shifted, 6, np.delete(chosen, 4))
-    best = submaps.laid_on(query, other)
+    best = submaps.laid_on(query, other, {})
     assert 1 <= len(best) <= submaps.CANDIDATES
     assert best[0][0] == max(score for score, _ in best) > 0.6
     apart = SE2(best[0][1]).inverse() @ T
