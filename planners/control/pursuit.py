@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
+from turtlebag.planners.control.along_path import arc_lengths, point_at, project
 from turtlebag.planners.control.controller import Ramped, ramped
 from turtlebag.planners.control.goal_checker import STOPPED_V, TOLERANCES
 from turtlebag.planners.costmap import Costmap
@@ -30,7 +30,7 @@ SETTLED = 0.012
 RELEASE_M = TOLERANCES["default"][0]
 """If it drifts this far off while turning, it settles again."""
 BRAKING = 0.6
-"""Share of the commanded braking that speeds along the path are planned with; with all, a jackal ends 1.6 cm
+"""Share of the commanded braking with which the end of the path is approached; with all, a jackal ends 1.6 cm
 off."""
 MAX_LATERAL = 1.2
 """Most lateral acceleration [m/s^2]."""
@@ -48,7 +48,6 @@ class Pursuit(Ramped):
         self.state = "idle"
         self._points = np.zeros((0, 2))
         self._lengths = np.zeros(0)
-        self._speeds = np.zeros(0)
         self._goal = (0.0, 0.0, 0.0)
         self._s = 0.0
 
@@ -56,11 +55,6 @@ class Pursuit(Ramped):
         """Follow a new path; the robot's position on it is searched from its start."""
         self._points = np.ascontiguousarray(poses.xy)
         self._lengths = arc_lengths(self._points)
-        bends = curvature_along(self._points, self._lengths, LOOKAHEAD_M[0])
-        limits = np.sqrt(MAX_LATERAL / np.maximum(bends, 1e-6))
-        self._speeds = braked(
-            np.minimum(limits, self.limits.max_v), self._lengths, BRAKING * self.limits.max_dv
-        )
         x, y, yaw = poses.xyt[-1].tolist()
         same_goal = self._goal == (x, y, yaw)
         self._goal = (x, y, yaw)
@@ -117,11 +111,8 @@ class Pursuit(Ramped):
 
     def _regulated_speed(self, room: float, curvature: float, remaining: float) -> float:
         top, bend = self.limits.max_v, abs(curvature)
-        v = min(
-            float(np.interp(self._s, self._lengths, self._speeds)),
-            top * max(SLOWEST, room / NEAR_M),
-            math.sqrt(2.0 * BRAKING * self.limits.max_dv * remaining),
-        )
+        v = top * min(1.0, max(SLOWEST, room / NEAR_M))
+        v = min(v, math.sqrt(2.0 * BRAKING * self.limits.max_dv * remaining))
         return min(v, math.sqrt(MAX_LATERAL / bend), self.limits.max_w / bend) if bend > 0.0 else v
 
     def _onto_goal(self, x: float, y: float, yaw: float, last: Twist) -> Twist:

@@ -8,7 +8,7 @@ from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Twist
-from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
+from turtlebag.planners.control.along_path import arc_lengths, point_at, project
 from turtlebag.planners.control.collision_monitor import (
     CollisionMonitor,
     depth_inside,
@@ -217,20 +217,6 @@ def test_no_obstacle_of_a_cell_slips_between_the_points_that_dwa_looks_at(robot)
     samples = Dwa(load_robot(robot).model, DwaConfig(), DT).samples
     outline = samples.points[: samples.outline]
     assert np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1).max() <= 0.05
-
-
-def test_curvature_of_a_circle_and_braking_before_a_slow_place():
-    angle = np.linspace(0.0, 3.0, 120)
-    circle = np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle)], axis=1)
-    bends = curvature_along(circle, arc_lengths(circle), 0.15)
-    np.testing.assert_allclose(bends[20:-20], 2.0, rtol=0.02)
-    lengths = np.linspace(0.0, 2.0, 41)
-    limits = np.ones(41)
-    limits[20] = 0.2
-    speeds = braked(limits, lengths, 0.5)
-    assert speeds[20] == 0.2
-    assert speeds[10] == pytest.approx(math.sqrt(0.04 + 2.0 * 0.5 * 0.5))
-    assert speeds[21] == 1.0
 
 
 def test_pursuit_that_was_settling_turns_to_the_path_when_it_is_elsewhere():

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
+from turtlebag.planners.control.along_path import arc_lengths, point_at, project
 from turtlebag.planners.control.collision_monitor import depth_inside, free_time, moved, padded
 from turtlebag.planners.control.dwa import COMFORT_M, STEP_S, ArcFloor, ArcWeights, _value, best_arc
 from turtlebag.planners.costmap import clearance_field, distance_field
@@ -33,39 +33,6 @@ def test_lengths_along_a_path_are_the_sums_of_its_pieces(seed):
     path = bent(seed)
     expected = [sum(math.dist(a, b) for a, b in itertools.pairwise(path[: k + 1])) for k in range(len(path))]
     np.testing.assert_allclose(arc_lengths(path), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_curvature_is_that_of_the_circle_through_the_arms_ends(seed):
-    """1 / R = 4 A / (a b c), the triangle's area by Heron."""
-    path = bent(seed)
-    lengths, arm = arc_lengths(path), 0.4
-    expected = np.zeros(len(path))
-    for k in range(1, len(path) - 1):
-        i = next((i for i in range(k, -1, -1) if lengths[k] - lengths[i] >= arm), 0)
-        j = next((j for j in range(k, len(path)) if lengths[j] - lengths[k] >= arm), len(path) - 1)
-        a, b, c = math.dist(path[i], path[k]), math.dist(path[k], path[j]), math.dist(path[i], path[j])
-        s = 0.5 * (a + b + c)
-        area2 = max(s * (s - a) * (s - b) * (s - c), 0.0)
-        expected[k] = 4.0 * math.sqrt(area2) / (a * b * c) if a * b * c > 1e-12 else 0.0
-    np.testing.assert_allclose(curvature_along(path, lengths, arm), expected, rtol=1e-6, atol=1e-6)
-    assert expected[1:-1].all()
-
-
-def test_a_point_beside_itself_on_the_path_has_no_curvature():
-    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 1.0]])
-    assert curvature_along(path, arc_lengths(path), 0.0).tolist() == [0.0] * 4
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_speeds_are_those_from_which_every_later_limit_is_kept(seed):
-    rng = np.random.default_rng(seed)
-    lengths, limits = rng.uniform(0.01, 0.3, 15).cumsum(), rng.uniform(0.05, 1.0, 15)
-    expected = [
-        min(math.sqrt(limits[j] ** 2 + 2.0 * 0.4 * (lengths[j] - lengths[k])) for j in range(k, 15))
-        for k in range(15)
-    ]
-    np.testing.assert_allclose(braked(limits, lengths, 0.4), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(4))

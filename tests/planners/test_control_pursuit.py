@@ -9,7 +9,6 @@ import pytest
 from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import Twist
-from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along
 from turtlebag.planners.control.collision_monitor import CollisionMonitor, free_time, moved, padded
 from turtlebag.planners.control.controller import Ramped, SpeedLimits, ramped
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
@@ -104,24 +103,6 @@ def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
     fast = Pursuit(replace(PROMPT, max_v=2.0), DT)
     fast.set_path(line())
     assert fast._regulated_speed(9.0, 0.5, 3.0) == pytest.approx(math.sqrt(MAX_LATERAL / 0.5))
-    pursuit._speeds = np.linspace(0.4, 0.0, 101)
-    assert pursuit._regulated_speed(9.0, 0.0, 3.0) == pytest.approx(0.4 * 0.6)
-
-
-def test_a_path_is_driven_as_fast_as_its_bends_allow_and_braked_before_them(monkeypatch):
-    monkeypatch.setattr("turtlebag.planners.control.pursuit.MAX_LATERAL", 0.05)
-    angle = np.linspace(0.0, 2.0, 80)
-    bend = np.column_stack([5.0 + 0.3 * np.sin(angle), 4.3 - 0.3 * np.cos(angle)])
-    path = np.vstack([line(3.0, 4.95, 60).xy, bend])
-    robot = replace(PROMPT, max_dv=0.5)
-    pursuit = Pursuit(robot, DT)
-    pursuit.set_path(SE2.from_xyt(*path.T, np.zeros(len(path))))
-    lengths = arc_lengths(path)
-    limits = np.minimum(np.sqrt(0.05 / np.maximum(curvature_along(path, lengths, LOOKAHEAD_M[0]), 1e-6)), 0.5)
-    np.testing.assert_allclose(pursuit._speeds, braked(limits, lengths, 0.6 * 0.8 * 0.5))
-    assert pursuit._speeds[0] == 0.5
-    assert pursuit._speeds[100] == pytest.approx(math.sqrt(0.05 * 0.3), rel=0.02)
-    assert (pursuit.limits.max_v, pursuit.limits.max_w, pursuit.limits.max_dv) == (0.5, 2.0, 0.4)
 
 
 def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
