@@ -72,7 +72,9 @@ def tree(tmp_path):
         (root / folder).mkdir(parents=True)
     (root / "planners/__init__.py").touch()
     (root / "planners/a.py").write_text(
-        "def double(x: int) -> int:\n    n = 0\n    while x > 0:\n        n, x = n + 2, x - 1\n    return n\n"
+        "from time import sleep\n\n\ndef double(x: int) -> int:\n    n = 0\n    while x > 0:\n"
+        "        sleep(0.01)  # what never ends takes no time of those beside it\n"
+        "        n, x = n + 2, x - 1\n    return n\n"
     )
     (root / "tests/planners").mkdir()
     (root / "tests/planners/test_a.py").write_text(
