@@ -27,9 +27,9 @@ PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", 
 """Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
 
 NUMBERS = {
-    "weight of the prior": "align.PRIOR_SHARE",
-    "variance of surfaces": "align.SURFACE_VAR",
-    "shared errors of points": "align.STEP_COVARIANCE_SCALE",
+    "weight of the prior": "point_to_line_icp.PRIOR_SHARE",
+    "variance of surfaces": "point_to_line_icp.SURFACE_VAR",
+    "shared errors of points": "point_to_line_icp.STEP_COVARIANCE_SCALE",
     "kernel, rough poses": "correspondences.ROUGH.sigma",
     "kernel, good poses": "correspondences.FINE.sigma",
     "weight of the odometry's NIS": "icp_odometry.NIS_WEIGHT",

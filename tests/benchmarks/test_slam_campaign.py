@@ -22,12 +22,12 @@ from benchmarks.slam_parts import NUMBERS, multiply_constant
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import (
-    align,
     calibration,
     correspondences,
+    joint_refinement,
+    point_to_line_icp,
     range_calibration,
-    refine,
-    scan_poses,
+    reregistration,
     step_constraints,
 )
 from turtlebag.pipeline.slam.slam import SlamConfig
@@ -90,10 +90,10 @@ def test_every_number_of_the_sensitivity_study_is_one_there_is():
 
 def test_a_constant_is_multiplied_wherever_it_is_read(monkeypatch):
     multiply_constant("correspondences.FINE.sigma", 2.0, monkeypatch.setattr)
-    multiply_constant("align.STEP_COVARIANCE_SCALE", 0.5, monkeypatch.setattr)
-    for module in (correspondences, refine, range_calibration, calibration, scan_poses):
+    multiply_constant("point_to_line_icp.STEP_COVARIANCE_SCALE", 0.5, monkeypatch.setattr)
+    for module in (correspondences, joint_refinement, range_calibration, calibration, reregistration):
         assert module.FINE == (0.1, 0.06, 15, 10**6)
-    for module in (align, refine, range_calibration, calibration, step_constraints):
+    for module in (point_to_line_icp, joint_refinement, range_calibration, calibration, step_constraints):
         assert module.STEP_COVARIANCE_SCALE == 2.5
 
 
