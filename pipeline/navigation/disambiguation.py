@@ -8,9 +8,11 @@ on, by the likelier hypothesis would be a guess.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
@@ -140,7 +142,11 @@ def nearest_difference(
     differs = (under.min(axis=0) <= 0.0) & (under.max(axis=0) > CLEAR_M)
     if ways is None or not differs.any():
         return None
-    cells = np.argwhere(np.isfinite(ways) & (distance_field(differs, floor.resolution) <= SEEN_M))
+    near = distance_field(differs, floor.resolution) <= SEEN_M
+    # Only over floor of all hypotheses, by four neighbours: a wall of all hides what differs behind it.
+    steps = math.ceil(math.sqrt(2.0) * SEEN_M / floor.resolution)
+    near &= scipy.ndimage.binary_dilation(differs, iterations=steps, mask=under.min(axis=0) > 0.0)
+    cells = np.argwhere(np.isfinite(ways) & near)
     xy = floor.T_map_grid @ np.asarray((cells[:, ::-1] + 0.5) * floor.resolution, dtype=np.float64)
     for seen in visited:
         keep = np.linalg.norm(xy - seen, axis=1) > SPENT_M

@@ -38,7 +38,7 @@ from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
-from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import plan_path
 from turtlebag.sim import shapes
 from turtlebag.sim.faults import FaultConfig
@@ -208,6 +208,22 @@ def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
     assert 2.0 < mirrored.x < 2.25
     other = nearest_difference(walls, both, floor, 0.2, start, [place.xy])
     assert 0.5 < np.linalg.norm(other.xy - place.xy) < 0.6
+
+
+@pytest.mark.parametrize("here", [0, 1, 2])
+def test_what_differs_behind_a_wall_is_not_seen(here):
+    """Three equal rooms on a corridor: the room next door is there, or is not, behind a wall of all rooms."""
+    lethal, pitch = np.ones((100, 200), dtype=bool), 3.1
+    lethal[8:38, 10:196] = False
+    for k in range(3):
+        left = 10 + 62 * k
+        lethal[40:, left : left + 60] = lethal[38:40, left + 20 : left + 40] = False
+    lethal[-2:] = True
+    walls = Costmap(lethal, 0.05, SE2.identity())
+    rooms = [SE2.from_xyt(pitch * (k - here), 0.0, 0.0) for k in range(3)]
+    start = SE2.from_xyt(2.0 + pitch * here, 3.5, 0.0)
+    place = nearest_difference(walls, rooms, passable_under_all(walls, rooms), 0.2, start, [])
+    assert place.y < 2.0  # in the corridor, near one of its ends
 
 
 def test_where_the_walls_are_alike_no_place_differs_whatever_is_kept_out_of():
