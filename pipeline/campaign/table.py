@@ -76,7 +76,7 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
                 raise InputError("--query: is empty; for example: SELECT * FROM runs")
             return [column[0] for column in result.description], result.fetchall()
         except duckdb.Error as error:
-            raise InputError(f"query: {_first_line(error)}") from None
+            raise InputError(f"--query: {_first_line(error)}") from None
 
 
 def _paths(connection: Any, store: Store, names: Sequence[str]) -> list[str]:
