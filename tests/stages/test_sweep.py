@@ -247,7 +247,7 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
     pair = next(p for p in summary["pairs"] if p["level"] == 2 and p["result"] == "error_m")
     assert pair["found"]["difference"]["value"] == pytest.approx(0.1)
     assert pair["found"]["difference"]["n"] == 8
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r"^--query: "):
         query(Store(str(tmp_path / "out")), "SELECT nothing FROM runs")
 
 
