@@ -63,7 +63,7 @@ class SystemFiles:
     def __post_init__(self) -> None:
         require_name(self.name)
         if self.name in (OURS, TRUTH):
-            raise InputError(f"{self.name}: is taken; give this system another name")
+            raise InputError(f"{self.name}: this name is taken; give this system another one")
         if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
             raise InputError(f"{self.name} has no trajectory")
         if not abs(self.shift_s) < LONGEST_S:

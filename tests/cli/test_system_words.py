@@ -28,9 +28,9 @@ def tree(tmp_path_factory):
         (["a=5.tum", "--system-times", "map"], "map: is a folder; give the file of the times in it"),
         (["a="], "a=: names no file; write NAME=FILE"),
         (["=5.tum"], "'': a system's name may contain only letters, digits, - and _"),
-        (["truth=5.tum"], "truth: is taken"),
-        (["truth.tum"], "truth: is taken"),
-        (["TurtleBag.tum"], "TurtleBag: is taken"),
+        (["truth=5.tum"], "truth: this name is taken"),
+        (["truth.tum"], "truth: this name is taken"),
+        (["TurtleBag.tum"], "TurtleBag: this name is taken"),
     ],
 )
 def test_what_cannot_be_compared_is_refused_by_its_name(tree, capsys, monkeypatch, words, said):
