@@ -63,6 +63,8 @@ def tree(tmp_path):
 def call(tree, **environment):
     """(what the kernel gives, kernels that needed no compiling), in a process of its own."""
     given = {**os.environ, "PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(tree / "kernels"), **environment}
+    # Python takes its bytecode for that of a source of the same size written within the same second.
+    given["PYTHONDONTWRITEBYTECODE"] = "1"
     done = subprocess.run(
         [sys.executable, "-c", CALL], env=given, cwd=tree, capture_output=True, text=True, check=False
     )
