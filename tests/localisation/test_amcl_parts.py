@@ -11,8 +11,7 @@ from tests.helpers.localisation_room import LIDAR
 from tests.localisation.filter_room import PLACE, beams_at, made, scan_at
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, wrap
-from turtlebag.pipeline.localisation import lost_detection as agreement_module
-from turtlebag.pipeline.localisation import resampling
+from turtlebag.pipeline.localisation import lost_detection, resampling
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.localiser import require_estimate
 from turtlebag.pipeline.localisation.lost_detection import AgreementWatch
@@ -83,7 +82,7 @@ def test_random_particles_are_mixed_in_by_how_far_agreement_has_fallen():
 
 def test_the_averages_follow_the_agreement_each_at_its_rate():
     filter_ = made(recovery_alpha_slow=0.01, recovery_alpha_fast=0.2)
-    slow = fast = agreement_module.NOMINAL_AGREEMENT
+    slow = fast = lost_detection.NOMINAL_AGREEMENT
     best = 0.0
     for agreement in (0.9, 0.95, 0.2, 0.4):
         filter_.watch.update(agreement)
@@ -254,8 +253,8 @@ def test_a_scan_that_explains_far_less_than_usual_contradicts():
     beams = beams_at(PLACE)
     usual = filter_.search.agreement(PLACE.xyt, beams)
     for slow, told in (
-        (usual / (1.0 - agreement_module.DOUBTFUL) * 0.99, False),
-        (usual / (1.0 - agreement_module.DOUBTFUL) * 1.01, True),
+        (usual / (1.0 - lost_detection.DOUBTFUL) * 0.99, False),
+        (usual / (1.0 - lost_detection.DOUBTFUL) * 1.01, True),
     ):
         filter_.watch.slow = slow
         assert filter_.contradicted(scan_at(PLACE), PLACE, PLACE) == told

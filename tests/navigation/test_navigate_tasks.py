@@ -1,5 +1,4 @@
 import argparse
-import math
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from turtlebag.pipeline.cli import navigate as navigate_command
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation import driver_setup
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
-from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, parse_waypoint, tutorial_patrol
+from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, tutorial_patrol
 
 S = 10**9
 
@@ -149,42 +148,6 @@ def test_laps_closed_laps_and_retries():
     assert visited(SequenceConfig(laps=2, closed=True, **quick)) == [0, 1, 2, 0, 1, 2, 0]
     assert visited(SequenceConfig(retry_missed=True, **quick), miss=(2,)) == [0, 1, 2, 1]
     assert visited(SequenceConfig(retry_missed=True, **quick), miss=(2, 4)) == [0, 1, 2, 1]
-
-
-@pytest.mark.parametrize(
-    ("entry", "yaw"),
-    [
-        ({"x": 1, "y": 2, "yaw": 0.5}, 0.5),
-        ([1, 2, 0.5], 0.5),
-        ({"x": 1, "y": 2}, 0.0),
-        ({"x": 1, "y": 2, "quaternion": [0, 0, 3.0, 3.0]}, math.pi / 2),
-        ({"x": 1, "y": 2, "quaternion": [0, 0, math.sin(0.35), math.cos(0.35)]}, 0.7),
-    ],
-)
-def test_good_entries(entry, yaw):
-    np.testing.assert_allclose(parse_waypoint(entry).T_map_goal.xyt, [1.0, 2.0, yaw], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("entry", "reason"),
-    [
-        ({"x": 1, "y": 2, "yaw": float("nan")}, "yaw is not a finite number"),
-        ({"x": "a", "y": 2, "yaw": 0}, "x is not a finite number"),
-        ({"x": True, "y": 2, "yaw": 0}, "x is not a finite number"),
-        ({"x": 1, "yaw": 0}, "y is missing"),
-        ({"x": 1, "y": 2, "quaternion": [0, 0, 0, 0]}, "norm is zero"),
-        ({"x": 1, "y": 2, "quaternion": [0, 0, float("inf"), 1]}, "not finite"),
-        ({"x": 1, "y": 2, "quaternion": [0, 1]}, "expected"),
-        ({"x": 1, "y": 2, "wait": -1}, "wait must be 0 to 3600 s"),
-        ({"x": 1, "y": 2, "wait": "long"}, "wait must be 0 to 3600 s"),
-        ({"x": 1, "y": 2, "z": 2}, "unknown key z"),
-        (7, "not an entry"),
-    ],
-)
-def test_bad_entries_have_a_reason(entry, reason):
-    found = parse_waypoint(entry)
-    assert found.T_map_goal is None
-    assert reason in found.reason
 
 
 @pytest.mark.parametrize(

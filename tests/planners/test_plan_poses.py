@@ -22,10 +22,6 @@ from turtlebag.planners.smoothing import path_length
 RES = 0.05
 
 
-def cluttered(seed, share=0.01, rows=50, cols=60):
-    return Costmap(np.random.default_rng(seed).random((rows, cols)) < share, RES, SE2.identity())
-
-
 def test_headings_are_all_directions_within_three_cells_in_order():
     steps = {(a, b) for a, b in itertools.product(range(-3, 4), repeat=2) if math.gcd(a, b) == 1}
     assert set(map(tuple, lattice.HEADINGS.tolist())) == steps

@@ -200,6 +200,7 @@ def test_a_wiggle_is_a_triangle_wave_between_its_angles():
     [
         ([1, 2], (1.0, 2.0, 0.0)),
         ([1, 2, 3], (1.0, 2.0, 3.0)),
+        ({"x": 1, "y": 2}, (1.0, 2.0, 0.0)),
         ({"x": 1, "y": 2, "yaw": -0.5, "wait": 3600}, (1.0, 2.0, -0.5)),
         ({"x": 1, "y": 2, "quaternion": [0, 0, 2 * math.sin(0.5), 2 * math.cos(0.5)]}, (1.0, 2.0, 1.0)),
     ],
@@ -215,12 +216,20 @@ def test_an_entry_of_a_waypoints_file_is_a_pose(entry, pose):
     ("entry", "reason"),
     [
         ("home", "not an entry"),
+        (7, "not an entry"),
         ({"y": 2}, "x is missing"),
+        ({"x": 1, "yaw": 0}, "y is missing"),
+        ({"x": "a", "y": 2}, "x is not a finite number"),
         ({"x": True, "y": 2}, "x is not a finite number"),
         ({"x": 1, "y": math.inf}, "y is not a finite number"),
+        ({"x": 1, "y": 2, "yaw": math.nan}, "yaw is not a finite number"),
         ([1, 2, None], "yaw is not a finite number"),
+        ({"x": 1, "y": 2, "z": 2}, "unknown key z"),
+        ({"x": 1, "y": 2, "wait": -1}, "wait must be 0 to 3600 s"),
         ({"x": 1, "y": 2, "wait": 3601}, "wait must be 0 to 3600 s"),
+        ({"x": 1, "y": 2, "wait": "long"}, "wait must be 0 to 3600 s"),
         ({"x": 1, "y": 2, "quaternion": [0, 0, 0, 0]}, "its norm is zero"),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, math.inf, 1]}, "not finite"),
         ({"x": 1, "y": 2, "quaternion": [0, 0, 1]}, "expected [x, y, z, w]"),
     ],
 )

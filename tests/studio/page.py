@@ -15,7 +15,6 @@ from turtlebag.pipeline.studio.view import Event, MapLayer
 
 HERE = f"http://{LOOPBACK}:"
 ENABLED = "!document.getElementById('controls').disabled"
-WATCHING = "!document.getElementById('watching').hidden"
 FITTING = "import('./view.js').then(({ view }) => [view.x, view.y, view.scale])"
 
 
