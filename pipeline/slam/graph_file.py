@@ -168,7 +168,8 @@ def _changes(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
 def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     about = json.loads(bytes(stored["about"]))
     if about["format"] != FORMAT:
-        raise ValueError(f"format {about['format']}, expected {FORMAT}")
+        has = about["format"]
+        raise ValueError(f"format {has}, but this version reads {FORMAT}; map its recording again")
     lidar = {name: float(value) for name, value in about["lidar"].items()}
     calibration_of = {name: float(value) for name, value in about["calibration"].items()}
     ranges = {name: float(value) for name, value in about["range_calibration"].items()}

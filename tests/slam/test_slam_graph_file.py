@@ -1,6 +1,7 @@
 """The graph file: saved, read back exactly, and extended."""
 
 import json
+import math
 from dataclasses import fields, replace
 
 import gtsam
@@ -13,7 +14,9 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam.graph_file import FILE, load_session, save_session
+from turtlebag.pipeline.slam import graph_file
+from turtlebag.pipeline.slam.factors import Loop
+from turtlebag.pipeline.slam.graph_file import FILE, FORMAT, load_session, save_session
 from turtlebag.pipeline.slam.pose_graph import write_g2o
 from turtlebag.pipeline.slam.slam import SlamConfig, continue_slam, run_slam
 
@@ -59,7 +62,14 @@ def assert_same(a, b):
 
 
 def test_session_is_read_back_to_the_last_bit(tmp_path, result):
-    session = replace(result.session, recording=replace(result.session.recording, odometry=None))
+    loops = [
+        Loop(3, 0, np.array([0.1, 0.2, 0.3]), 0.7, 0.8, 0.01, 1e4 * np.eye(3), "accepted", gate_m=0.9),
+        Loop(2, 0, np.zeros(3), 0.4, 0.0, 0.0, np.eye(3), "low score", gate_m=math.inf),
+    ]
+    recognised = [Loop(3, 1, np.ones(3), 0.6, 0.7, 0.02, np.eye(3), "too few agree", violation=0.01)]
+    graph = replace(result.session.graph, loops=loops, recognised=recognised)
+    recording = replace(result.session.recording, odometry=None)
+    session = replace(result.session, recording=recording, graph=graph)
     save_session(tmp_path / FILE, session, SlamConfig())
     again, config = load_session(tmp_path)
     assert config == SlamConfig()
@@ -148,6 +158,15 @@ def test_a_map_goes_on_with_the_settings_it_was_made_with(saved, tmp_path):
     on = mapped(tmp_path / "on", saved / "second.clf", *near, "--continue", first)
     for name in ("map.pgm", "trajectory.tum", FILE):
         assert (on / name).read_bytes() == (both / name).read_bytes(), name
+
+
+def test_graph_of_another_version_is_to_be_mapped_again(tmp_path, result, monkeypatch):
+    monkeypatch.setattr(graph_file, "FORMAT", FORMAT - 1)
+    save_session(tmp_path / FILE, result.session, SlamConfig())
+    monkeypatch.undo()
+    told = rf"graph\.npz: .*format {FORMAT - 1}, but this version reads {FORMAT}; map its recording again"
+    with pytest.raises(InputError, match=told):
+        load_session(tmp_path)
 
 
 @pytest.mark.parametrize("damage", ["absent", "cut", "no zip", "changed"])
