@@ -148,10 +148,10 @@ def _candidates(
             continue
         allowed = dict(zip(first_visits, off.tolist(), strict=False))
         others = [other for j in far.tolist() if (other := submap(j)) is not None]
-        like, made = similarity(query, others), Pictures()
+        like, pictures = similarity(query, others), Pictures()
         for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
             guess = between(poses[others[k].middle], poses[i])
-            for score, start in laid_on(query, others[k], made):
+            for score, start in laid_on(query, others[k], pictures):
                 near = np.hypot(*(start[:2] - guess[:2])) < allowed[others[k].middle]
                 if near:
                     found.append(_settled(scans, query, others[k], start, score, config, matcher))

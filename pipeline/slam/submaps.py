@@ -96,21 +96,21 @@ Pictures = dict[int, tuple[NDArray[np.complex64], np.float32]]
 """Of a submap, by heading: the conjugate spectrum of its picture, and how many cells of that are filled."""
 
 
-def laid_on(query: Submap, other: Submap, made: Pictures) -> list[tuple[float, Array]]:
+def laid_on(query: Submap, other: Submap, pictures: Pictures) -> list[tuple[float, Array]]:
     """The best distinct poses (3,) of the query's middle seen from the other's, with their scores 0..1.
 
-    `made` keeps the query's pictures for the next other.
+    `pictures` keeps those of the query for the next other submap.
     """
     candidates: list[tuple[float, Array]] = []
     inner = query.points[np.linalg.norm(query.points, axis=1) < REACH_M - 2.0]
     headings = _headings(query.directions, other.directions)
     if len(inner) == 0 or not headings:
         return []
-    if new := [heading for heading in headings if heading not in made]:
-        made.update(_pictures(inner, new))
+    if new := [heading for heading in headings if heading not in pictures]:
+        pictures.update(_pictures(inner, new))
     # all headings in one transform, because calls cost more than the work
-    products = other.spectrum * np.stack([made[heading][0] for heading in headings])
-    filled = np.array([made[heading][1] for heading in headings])
+    products = other.spectrum * np.stack([pictures[heading][0] for heading in headings])
+    filled = np.array([pictures[heading][1] for heading in headings])
     scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / filled[:, None, None]
     for yaw, window in zip(_yaws(headings).tolist(), _windows(scores), strict=True):
         for value, dx, dy in _best_shifts(window, CANDIDATES):

@@ -106,15 +106,27 @@ def test_a_map_that_is_surely_too_large_is_refused_before_it_is_drawn(monkeypatc
 
 def test_two_submaps_are_compared_with_one_transform_there_and_one_back(monkeypatch):
     cloud, poses = make_clouds(LOG, 30.0), POSES
-    a, b = (submaps.make_submap(cloud, np.arange(60), poses, k, np.arange(k - 5, k + 6)) for k in (10, 12))
-    calls = []
+    a, b, c = (
+        submaps.make_submap(cloud, np.arange(60), poses, k, np.arange(k - 5, k + 6)) for k in (10, 12, 30)
+    )
+    alone, calls = [submaps.laid_on(a, other, {}) for other in (b, c)], []
     for name in ("rfft2", "irfft2"):
         transform = getattr(submaps.scipy.fft, name)
         monkeypatch.setattr(
             submaps.scipy.fft, name, lambda *args, of=transform, name=name: (calls.append(name), of(*args))[1]
         )
-    assert submaps.laid_on(a, b, {})
-    assert sorted(calls) == ["irfft2", "rfft2"]
+    pictures = {}
+    found = submaps.laid_on(a, b, pictures)
+    assert found
+    assert calls == ["rfft2", "irfft2"]
+    kept = set(pictures)
+    submaps.laid_on(a, b, pictures)
+    assert calls == ["rfft2", "irfft2", "irfft2"]
+    other = submaps.laid_on(a, c, pictures)
+    assert kept < set(pictures)
+    for one, by_itself in zip([*found, *other], [*alone[0], *alone[1]], strict=True):
+        assert one[0] == by_itself[0]
+        np.testing.assert_array_equal(one[1], by_itself[1])
 
 
 @pytest.mark.slow
