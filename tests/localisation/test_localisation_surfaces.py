@@ -96,13 +96,20 @@ def test_each_cell_gets_the_surface_of_the_cells_about_it_that_face_as_it_does(s
             normal = normal - slope * np.array([-normal[1], normal[0]])
             normal /= np.linalg.norm(normal)
         np.testing.assert_allclose(normals[i], normal, atol=1e-6)
-        if abs(height) < 1.5:
-            np.testing.assert_allclose(shift[i], height * normal, atol=1e-6)
-            assert rough[i] == pytest.approx(rest, abs=1e-6)
-        else:
-            assert math.isinf(rough[i])
-            assert not shift[i].any()
+        np.testing.assert_allclose(shift[i], height * normal, atol=1e-6)
+        assert rough[i] == pytest.approx(rest, abs=1e-6)
     assert flipped > 0
+
+
+@pytest.mark.parametrize(("cells_off", "own"), [(2, True), (3, False)])
+def test_a_cell_is_not_moved_to_a_surface_more_than_a_cell_and_a_half_away(cells_off, own):
+    cells = np.array([[1, 8], *[[1 + cells_off, col] for col in range(4, 13)]])
+    index = np.full((10, 17), -1, dtype=np.int32)
+    index[tuple(cells.T)] = np.arange(len(cells))
+    shift, _, rough = fit_cells(cells, index, np.tile([0.0, 1.0], (len(cells), 1)), 6.0)
+    assert math.isfinite(rough[0]) == own
+    assert shift[0].any() == own
+    assert math.isfinite(rough[5])
 
 
 @pytest.mark.parametrize("seed", range(4))
