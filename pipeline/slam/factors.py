@@ -32,9 +32,9 @@ class Constraint:
 class Loop:
     """Key i at key j's place: `T_j_i` (3,), in space (4, 4), the quality of the fit, and the verdict.
 
-    `score` is that of the search, `overlap` the share of points that fit. A candidate by distance was
-    searched within `gate_m`; of one by place recognition, `violation` is the share of points that violates
-    the other's free space. Both are NaN for the other kind.
+    `score` is that of the search, `overlap` the share of points that fit, `gate_m` how far the search went
+    (NaN for place recognition in the plane), and `violation` the share of points that violates the other's
+    free space (NaN but for place recognition in the plane).
     """
 
     i: int
