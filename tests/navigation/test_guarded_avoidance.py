@@ -156,34 +156,36 @@ def test_an_escape_is_bounded_in_time_and_in_the_turn():
     assert whole.command(0, SE2.from_xyt(0.0, 0.0, 3.0 + 3.15)) is None
 
 
-def test_what_touches_is_replaced_by_the_first_motion_that_does_not():
-    wall = np.column_stack([np.full(30, 0.065), np.linspace(-0.1, 0.1, 30)])
-    ahead = Decision("straight", Twist(0.2, 0.0))
+NOSE, LEFT, RIGHT, TAIL = (0.065, 0.0), (0.03, 0.115), (0.03, -0.115), (-0.128, 0.0)
+"""Posts that touch the robot when it goes on, turns to either side, or goes back."""
+AHEAD, BACK = Twist(0.2, 0.0), Twist(-0.1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("posts", "before", "command", "instead", "done", "turning"),
+    [
+        ([NOSE], 0.0, AHEAD, "turn", Twist(0.0, 0.5), 1.0),
+        ([NOSE], -1.0, AHEAD, "turn", Twist(0.0, -0.5), -1.0),
+        ([NOSE, LEFT], 0.0, AHEAD, "turn", Twist(0.0, -0.5), -1.0),
+        ([LEFT], 0.0, Twist(0.0, 0.5), "turn", Twist(0.0, -0.5), -1.0),
+        ([RIGHT], 0.0, Twist(0.0, -0.5), "turn", Twist(0.0, 0.5), 1.0),
+        ([NOSE, LEFT, RIGHT], 0.0, AHEAD, "back off", BACK, 0.0),
+        ([LEFT, RIGHT, TAIL], 0.0, BACK, "creep", Twist(0.05, 0.0), 0.0),
+        ([NOSE, LEFT, RIGHT, TAIL], 0.0, AHEAD, "hold", Twist(), 0.0),
+    ],
+)
+def test_what_touches_is_replaced_by_the_first_motion_that_does_not(
+    posts, before, command, instead, done, turning
+):
     g = avoidance()
-    free = Decision("straight", Twist(-0.1, 0.0))
-    assert g._possible(free, wall) is free
-    turned = g._possible(ahead, np.array([[0.065, 0.0]]))
-    assert turned.action in ("turn", "back off")
-    # a post beside the nose on the left: it turns right into free space, and remembers the side
-    post = [[0.06, 0.09], [0.066, 0.0]]
-    g = avoidance()
-    found = g._possible(Decision("stop, turn left", Twist(0.2, 0.5)), np.array(post))
-    limits = {w: g.monitor.limit(Twist(0.0, w), np.array(post)) for w in (0.5, -0.5)}
-    expected = next((w for w in (0.5, -0.5) if limits[w] > 0.0), None)
-    if expected is None:
-        assert found.action == "back off"
-    else:
-        assert (found.action, found.command.w) == ("turn", expected)
-        assert g._turning == math.copysign(1.0, expected)
-    ring = np.vstack([wall, np.column_stack([np.full(30, -0.128), np.linspace(-0.1, 0.1, 30)])])
-    ring = np.vstack([ring, np.column_stack([np.linspace(-0.12, 0.06, 30), np.full(30, 0.128)])])
-    ring = np.vstack([ring, ring * [1.0, -1.0]])
-    held = avoidance()._possible(ahead, ring)
-    assert all(
-        avoidance().monitor.limit(t, ring) == 0.0
-        for t in (Twist(0.0, 0.5), Twist(-0.1, 0.0), Twist(0.05, 0.0))
-    )
-    assert (held.action, held.command) == ("hold", Twist())
+    g._turning = before
+    found = g._possible(Decision("asked", command), np.array(posts))
+    assert (found.action, found.command, g._turning) == (instead, done, turning)
+
+
+def test_what_touches_nothing_is_done():
+    free = Decision("straight", BACK)
+    assert avoidance()._possible(free, np.array([NOSE, LEFT, RIGHT])) is free
 
 
 def test_sweeps_are_compared_once_odometry_has_passed_far_enough():
