@@ -69,7 +69,9 @@ def test_a_goal_beyond_the_window_is_made_for_round_a_wall():
     assert layer.stands_in(goal)
     aim = layer.aim(pose, goal, 0.3)
     assert float(aim.x) == pytest.approx(4.0 - 0.8, abs=0.1)
-    assert not layer.stands_in(aim) or math.hypot(*(aim.xy - goal.xy)) < 10.0
+    assert float(aim.y) == pytest.approx(1.35, abs=0.1)  # the wall ends at 1.07 m
+    assert float(aim.yaw) == pytest.approx(math.atan2(*(goal.xy - aim.xy)[::-1]))
+    assert not layer.stands_in(aim)
     near = SE2.from_xyt(3.0, 0.0, 0.0)
     assert layer.aim(pose, near, 0.3) is near
 
