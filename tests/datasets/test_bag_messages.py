@@ -10,6 +10,7 @@ from tests.helpers.foreign_bags import STORE, TYPES, S
 from turtlebag.datasets.bags import cdr, decode
 from turtlebag.datasets.bags.decode import BadMessage, Cursor, Ros1Cursor
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Imu, Joints, LidarSpec, Scan, Twist
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 STAMP = 1_700_000_123 * S + 456_789_012
@@ -220,34 +221,51 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
         np.testing.assert_array_equal(table[:, :3], points)
         if given is not None:
             np.testing.assert_array_equal(table[:, 3], times)
-    imu = same(bytes(cdr.imu(frame, 0.1, 0.2).data), "sensor_msgs/msg/Imu")
+    sample = Imu(STAMP, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]))
+    imu = same(cdr.imu(frame, sample, 0.1, 0.2), "sensor_msgs/msg/Imu")
+    stamped(imu)
     assert imu.orientation_covariance.tolist() == [-1.0] + [0.0] * 8
     assert imu.angular_velocity_covariance.tolist() == (0.1 * np.eye(3)).ravel().tolist()
     assert imu.linear_acceleration_covariance.tolist() == (0.2 * np.eye(3)).ravel().tolist()
     assert (imu.orientation.w, imu.orientation.x) == (1.0, 0.0)
-    assert (imu.header.stamp.sec, imu.header.stamp.nanosec) == (0, 0)
-    joints = same(bytes(cdr.joint_state(frame, ["a", child]).data), "sensor_msgs/msg/JointState")
+    assert (imu.angular_velocity.z, imu.linear_acceleration.x) == (3.0, 4.0)
+    joints = same(
+        cdr.joint_state(frame, ["a", child], Joints(STAMP, (1.0, 2.0), (3.0, 4.0))),
+        "sensor_msgs/msg/JointState",
+    )
+    stamped(joints)
     assert (joints.name, joints.position.tolist(), joints.velocity.tolist()) == (
         ["a", child],
-        [0.0, 0.0],
-        [0.0, 0.0],
+        [1.0, 2.0],
+        [3.0, 4.0],
     )
-    template = cdr.odometry(frame, child, range(6))
-    template.patch_stamp(STAMP)
-    template.patch_pose(1.0, 2.0, 0.5)
-    template.patch_twist(3.0, 4.0)
-    drive = same(bytes(template.data), "nav_msgs/msg/Odometry")
+    pose = SE2.from_xyt(1.0, 2.0, 0.5)
+    drive = same(
+        cdr.odometry(frame, child, STAMP, pose, Twist(3.0, 4.0), np.arange(6.0)), "nav_msgs/msg/Odometry"
+    )
     stamped(drive)
+    assert drive.child_frame_id == child
     placed(drive.pose.pose, 1.0, 2.0, 0.5)
     assert drive.pose.covariance.tolist() == np.diag(np.arange(6.0)).ravel().tolist()
     assert (drive.twist.twist.linear.x, drive.twist.twist.angular.z) == (3.0, 4.0)
     assert not drive.twist.covariance.any()
-    scan = same(bytes(cdr.laser_scan(frame, range(7), length).data), "sensor_msgs/msg/LaserScan")
-    assert (scan.angle_min, scan.range_max, len(scan.ranges), len(scan.intensities)) == (0.0, 6.0, length, 0)
-    covariance = same(
-        bytes(cdr.pose_with_covariance(frame).data), "geometry_msgs/msg/PoseWithCovarianceStamped"
+    lidar = LidarSpec(length + 1, 0.5, 0.25, 1.0, 6.0, 0.125, 0.75)
+    ranges = np.arange(length + 1, dtype=np.float32)
+    scan = same(cdr.laser_scan(frame, Scan(STAMP, ranges, lidar)), "sensor_msgs/msg/LaserScan")
+    stamped(scan)
+    assert (scan.angle_min, scan.angle_max, scan.angle_increment) == (0.5, 0.5 + 0.25 * length, 0.25)
+    assert (scan.time_increment, scan.scan_time, scan.range_min, scan.range_max) == (0.125, 0.75, 1.0, 6.0)
+    assert (scan.ranges.tolist(), len(scan.intensities)) == (ranges.tolist(), 0)
+    at = same(
+        cdr.pose_with_covariance(frame, STAMP, pose, np.ones((3, 3))),
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
     )
-    assert not covariance.pose.covariance.any()
+    stamped(at)
+    placed(at.pose.pose, 1.0, 2.0, 0.5)
+    assert at.pose.covariance.sum() == 9.0
+    goal = same(cdr.pose_stamped(frame, STAMP, pose), "geometry_msgs/msg/PoseStamped")
+    stamped(goal)
+    placed(goal.pose, 1.0, 2.0, 0.5)
 
 
 def test_a_planar_covariance_stands_in_the_rows_of_x_y_and_yaw():

@@ -8,6 +8,8 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from turtlebag.datasets.bags import cdr
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
@@ -67,7 +69,5 @@ def tf(*transforms):
 
 
 def odometry(stamp_ns, x, frame="odom", child="base_footprint"):
-    template = cdr.odometry(frame, child, (0.0,) * 6)
-    template.patch_stamp(stamp_ns)
-    template.patch_pose(x, 0.0, 0.0)
-    return STORE.deserialize_cdr(bytes(template.data), ODOMETRY)
+    data = cdr.odometry(frame, child, stamp_ns, SE2.from_xyt(x, 0.0, 0.0), Twist(), np.zeros(6))
+    return STORE.deserialize_cdr(data, ODOMETRY)
