@@ -39,33 +39,25 @@ class Signature(NamedTuple):
     mtime_ns: int
 
 
-def _signature(status: os.stat_result) -> Signature:
-    return Signature(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
-
-
 def signatures(path: Path) -> dict[Path, Signature]:
     """Signature of a file, or of every file below a folder.
 
     InputError for a pipe or a device, which a reader would wait for, and for a folder of too many files.
     """
     found = {}
-    for file in _files_below(path) if path.is_dir() else (path,):
+    below = (Path(place, name) for place, _, names in os.walk(path) for name in names)
+    for file in below if path.is_dir() else (path,):
         try:
             status = file.stat()
         except OSError:
             continue  # a link to nowhere; whoever reads it says so
         if stat.S_ISREG(status.st_mode):
-            found[file] = _signature(status)
+            found[file] = Signature(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
         elif not (stat.S_ISDIR(status.st_mode) or stat.S_ISSOCK(status.st_mode)):
             raise InputError(f"{file}: is a pipe or a device; give a plain file")
         if len(found) > _MOST_FILES:
             raise InputError(f"{path}: contains more than {_MOST_FILES} files; name the right folder")
     return found
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    for place, _, names in os.walk(folder):
-        yield from (Path(place, name) for name in names)
 
 
 @contextmanager
@@ -107,13 +99,13 @@ class FileBytes:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file = opened_plain(path)
-        self._signature = _signature(os.fstat(self._file.fileno()))
+        self._size = os.fstat(self._file.fileno()).st_size
         self._start, self._window = 0, b""
-        if not self._signature.size:
+        if not self._size:
             raise InputError(f"{path}: the file is empty")
 
     def __len__(self) -> int:
-        return self._signature.size
+        return self._size
 
     def __getitem__(self, place: slice) -> bytes:
         start, stop, _ = place.indices(len(self))
@@ -146,22 +138,12 @@ class FileBytes:
             crc = zlib.crc32(self[start : min(start + _PIECE, stop)], crc)
         return crc
 
-    def require_unchanged(self) -> None:
-        """InputError when the file was written to or replaced since it was opened."""
-        try:
-            now = {_signature(os.fstat(self._file.fileno())), _signature(self._path.stat())}
-        except OSError:
-            now = set()
-        if now != {self._signature}:
-            raise _changed(self._path)
-
 
 def read_whole(path: Path) -> bytes:
     """Content of a plain file; InputError if it is not plain, empty, or changes meanwhile."""
     file = FileBytes(path)
-    content = file[:]
-    file.require_unchanged()
-    return content
+    with unchanged(path):
+        return file[:]
 
 
 def read_unpacked(path: Path) -> tuple[bytes, str | None]:
@@ -224,38 +206,24 @@ def _unpack(path: Path, packed: bytes, kind: str) -> tuple[bytes, str | None]:
     while problem is None:
         unpacker: Any = bz2.BZ2Decompressor() if kind == "bzip2" else zlib.decompressobj(wbits=31)
         try:
-            # Small pieces, so that what precedes a flipped bit is not lost with it.
+            # Small pieces: what precedes a flipped bit is not lost with it, and none unpacks to very much.
             while start < len(packed) and not unpacker.eof:
-                piece = packed[start : start + (1 << 16)]
-                start += len(piece)
-                for part in _parts(unpacker, piece):
-                    content += part
-                    if len(content) > bound:
-                        raise _beyond(path, bound)
+                content += unpacker.decompress(packed[start : start + (1 << 10)])
+                start += 1 << 10
+                if len(content) > bound:
+                    raise _beyond(path, bound)
         except (OSError, zlib.error):
             problem = f"{path.name}: damaged {kind} data; read up to the damage"
             break
         if not unpacker.eof:
             problem = f"{path.name}: {kind} data ends early; read up to there"
             break
-        start -= len(unpacker.unused_data)
+        start = min(start, len(packed)) - len(unpacker.unused_data)
         if not packed.startswith((b"\x1f\x8b", b"BZh"), start):
             break  # the end, or padding after the last stream
     if not content:
         raise InputError(f"{path}: damaged {kind} file, nothing could be unpacked; download it again")
     return bytes(content), problem
-
-
-def _parts(unpacker: Any, piece: bytes) -> Iterator[bytes]:
-    """What a piece unpacks to, a mebibyte at a time."""
-    if isinstance(unpacker, bz2.BZ2Decompressor):
-        yield unpacker.decompress(piece, _PIECE)
-        while not (unpacker.eof or unpacker.needs_input):
-            yield unpacker.decompress(b"", _PIECE)
-        return
-    yield unpacker.decompress(piece, _PIECE)
-    while unpacker.unconsumed_tail and not unpacker.eof:
-        yield unpacker.decompress(unpacker.unconsumed_tail, _PIECE)
 
 
 def unpack_zstd(packed: bytes, bound: int) -> bytes:

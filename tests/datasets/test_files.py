@@ -75,11 +75,8 @@ def test_a_file_that_is_cut_replaced_or_written_to_is_an_input_error(path):
         lambda: (path.with_name("new").write_bytes(DATA), path.with_name("new").replace(path)),
     ):
         path.write_bytes(DATA)
-        data = FileBytes(path)
-        data.require_unchanged()
-        change()
-        with pytest.raises(InputError, match="changed while it was read"):
-            data.require_unchanged()
+        with pytest.raises(InputError, match="changed while it was read"), unchanged(path):
+            change()
     path.write_bytes(DATA)
     data = FileBytes(path)
     path.write_bytes(DATA[:100])
