@@ -54,6 +54,11 @@ def _sqlite3_messages(
         if not count:
             raise InputError(f"{path}: damaged bag ({one_line(error)}); fetch or record it again") from None
         _note_problems(path, [f"damaged after {count} messages ({one_line(error)})"], True, notes)
+    else:
+        with path.open("rb") as file:
+            page = int.from_bytes(file.read(18)[16:], "big")
+        if path.stat().st_size % (page if page > 1 else 1 << 16):  # SQLite takes what is missing for zeros
+            notes.append(f"{path.name}: cut off inside its last page: messages may be missing or damaged")
 
 
 def one_line(error: Exception) -> str:

@@ -14,6 +14,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
+from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
@@ -182,3 +183,13 @@ def test_the_warning_says_where_and_what_to_do(drive, tmp_path):
     assert "a.mcap: " in bag.notes[0]
     assert "byte" in bag.notes[0]
     assert "bag recover" in bag.notes[1]
+
+
+@pytest.mark.parametrize("missing", [1, 512, 4095])
+def test_a_sqlite3_bag_cut_in_its_last_page_is_noted(drive, tmp_path, missing):
+    to_sqlite3(drive, tmp_path / "a")
+    (file,) = (tmp_path / "a").glob("*.db3")
+    assert bag_info(tmp_path / "a").notes == ()
+    os.truncate(file, file.stat().st_size - missing)
+    (note,) = bag_info(tmp_path / "a").notes
+    assert "cut off inside its last page" in note
