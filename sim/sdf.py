@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
@@ -21,8 +22,6 @@ ROUND = 48
 """Corners of a tilted cylinder's rim."""
 
 BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-_QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-BOX_FACES = np.array([face for a, b, c, d in _QUADS for face in ((a, b, c), (a, c, d))])
 
 
 def load_sdf(path: Path) -> tuple[str, list[Solid]]:
@@ -167,13 +166,15 @@ class _Reader:
             if upright:
                 z = (float(position[2]) - length / 2.0, float(position[2]) + length / 2.0)
                 return cylinder(name, (float(position[0]), float(position[1])), radius, z)
-            return mesh(name, _cylinder_triangles(radius, length) @ rotation.T + position)
+            angles, up = np.arange(ROUND) * (2.0 * math.pi / ROUND), np.full(ROUND, 0.5 * length)
+            rim = np.stack([radius * np.cos(angles), radius * np.sin(angles), up], axis=-1)
+            return mesh(name, _hull(np.vstack([rim, rim * [1, 1, -1]])) @ rotation.T + position)
         if shape.tag == "box":
             size = np.array([float(value) for value in (shape.findtext("size") or "").split()])
             if size.shape != (3,) or not np.all(size > 0.0):
                 raise ValueError("its size is not three positive numbers")
             if not upright:
-                return mesh(name, (BOX_CORNERS * size)[BOX_FACES] @ rotation.T + position)
+                return mesh(name, _hull(BOX_CORNERS * size) @ rotation.T + position)
             flat = BOX_CORNERS[[0, 4, 6, 2]] * size
             outline = (flat @ rotation.T + position)[:, :2]
             return prism(name, outline, (float(position[2] - size[2] / 2), float(position[2] + size[2] / 2)))
@@ -194,18 +195,6 @@ def _number(shape: ET.Element, key: str) -> float:
     return value
 
 
-def _cylinder_triangles(radius: float, length: float) -> Array:
-    """Side and caps of a cylinder about z, (n, 3, 3)."""
-    angles = np.arange(ROUND) * (2.0 * math.pi / ROUND)
-    rim = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(ROUND, length / 2.0)], axis=-1)
-    low, top, bottom = rim * [1, 1, -1], np.array([0, 0, length / 2.0]), np.array([0, 0, -length / 2.0])
-    out = []
-    for i in range(ROUND):
-        j = (i + 1) % ROUND
-        out += [
-            [rim[i], low[i], low[j]],
-            [rim[i], low[j], rim[j]],
-            [top, rim[i], rim[j]],
-            [bottom, low[j], low[i]],
-        ]
-    return np.array(out, dtype=np.float64)
+def _hull(corners: Array) -> Array:
+    """Triangles (n, 3, 3) of the convex solid with these corners (k, 3)."""
+    return corners[scipy.spatial.ConvexHull(corners).simplices]
