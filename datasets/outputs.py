@@ -142,16 +142,17 @@ def sha256_text(text: str) -> str:
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Strict JSON (non-finite numbers become null), stable key order as given, one newline at the end."""
-    path.write_text(json.dumps(_plain(data), indent=2, allow_nan=False) + "\n")
+    path.write_text(json.dumps(plain(data), indent=2, allow_nan=False) + "\n")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value as strict JSON has it: no NumPy, and null for a number that is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if hasattr(value, "tolist"):  # NumPy scalars and arrays
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

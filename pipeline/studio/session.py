@@ -12,7 +12,6 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_text
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.studio.actions import ACTIONS, map_load
 from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Load, Plain, Save
@@ -134,7 +133,7 @@ class Session(BaseSession):
             raise InputError("record_stop: nothing is being recorded")
         name, bag = self._bag
         bag.close()
-        self._bag, self._shared.publisher.bag = None, NoBag()
+        self._bag = self._shared.publisher.bag = None
         return f"bag {name} recorded"
 
     def view(self) -> View:

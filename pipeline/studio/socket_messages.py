@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.outputs import plain
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.tiles import GridTiles
 from turtlebag.pipeline.studio.view import BagMarks, Scene, View
@@ -40,6 +41,11 @@ PATHS = {"odom_path": "odom_path", "slam_path": "slam_path", "true_path": "ghost
 """Blobs that grow at their end, and the layers that they are shown by."""
 GRIDS = {"map": 255, "costmap": 0}
 """Blobs of tiles, and the value of cells that are not sent because a client takes it for granted."""
+AS_THEY_ARE = (
+    "owner", "task", "state", "recording", "mapping", "maps", "waypoint_files", "localised", "sure", "lost",
+    "goal_index", "goal",
+)  # fmt: skip
+"""Fields of a view that have the same name in the header of a frame."""
 GRID_BYTES_A_SECOND = 150_000
 """A grid that changes faster than this can carry is sent less often: the newest one, when its turn comes."""
 QUICK = 1
@@ -204,35 +210,17 @@ def words(view: View) -> dict[str, Any]:
     """What of a view goes into the header of every frame."""
     return {
         "t": round(seconds(view.stamp_ns), 4),
-        "owner": view.owner,
-        "cmd": list(view.command),
-        "task": view.task,
-        "state": view.state,
-        "recording": view.recording,
-        "mapping": view.mapping,
+        "cmd": view.command,
         "map": view.map_name,
-        "maps": list(view.maps),
-        "waypoint_files": list(view.waypoint_files),
-        "localised": view.localised,
-        "sure": view.sure,
-        "lost": view.lost,
         "pose": _xyt(view.T_map_base),
         "odom_pose": _xyt(view.T_odom_base),
         "true_pose": _xyt(view.T_world_base),
         "goals": [mark._asdict() for mark in view.goals],
-        "goal_index": view.goal_index,
-        "goal": None if view.goal is None else list(view.goal),
-        "sectors": None if view.sectors is None else _finite(view.sectors._asdict()),
+        # JSON knows no infinity: it becomes null.
+        "sectors": None if view.sectors is None else plain(view.sectors._asdict()),
+        **{name: getattr(view, name) for name in AS_THEY_ARE},
     }
 
 
 def _xyt(pose: SE2) -> list[float]:
     return [round(value, 4) for value in pose.xyt.tolist()]
-
-
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    """JSON knows no infinity: it becomes null."""
-    return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in values.items()
-    }

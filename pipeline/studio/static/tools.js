@@ -43,8 +43,6 @@ const TOOLS = {
   point: {
     hint: "Publish Point: click to copy x, y.",
     form: "x, y",
-    press() {},
-    move() {},
     release(desk, at) { desk.copy(words(at)); },
     typed(desk, text) { const at = numbers(text, 2); return at && desk.copy(words(at)); },
   },
@@ -78,8 +76,6 @@ const TOOLS = {
     hint: "Keep-out: click its corners, then the first one again. Backspace removes the last.",
     form: "x, y, x, y, x, y, ...",
     outline: [],
-    press() {},
-    move() {},
     hover(desk, at) { desk.doing = { outline: this.outline, tip: at }; },
     release(desk, at, pixel) {
       if (this.outline.length > 2 && near(this.outline[0], pixel)) this.close(desk);
@@ -106,16 +102,12 @@ const TOOLS = {
   box: {
     hint: "Box: click to drop one on the floor.",
     form: "x, y",
-    press() {},
-    move() {},
     release(desk, at) { desk.send({ do: "box", xy: round3(at), size: desk.size() }); },
     typed(desk, text) { const xy = numbers(text, 2); return xy && desk.send({ do: "box", xy, size: desk.size() }); },
   },
   loop: {
     hint: "Loops: click one to overlay its two scans.",
     form: "scan, place",
-    press() {},
-    move() {},
     release(desk, at, pixel) {
       const found = loopAt(pixel);
       if (found) desk.send({ do: "loop_show", ...found });
@@ -179,8 +171,8 @@ export class Desk {
     this.chosen(name, this.tool);
   }
 
-  press(at, pixel) { this.busy = true; this.tool.press(this, at, pixel); }
-  move(at) { if (this.busy) this.tool.move(this, at); else this.tool.hover?.(this, at); }
+  press(at, pixel) { this.busy = true; this.tool.press?.(this, at, pixel); }
+  move(at) { if (this.busy) this.tool.move?.(this, at); else this.tool.hover?.(this, at); }
   release(at, pixel) {
     if (!this.busy) return;
     this.busy = false;
