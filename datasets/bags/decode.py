@@ -33,8 +33,6 @@ class Cursor:
     """Reads CDR fields in order; alignment counts from after the encapsulation header."""
 
     origin = 4
-    stamp_at = 4
-    """Where the stamp of a message that begins with a header lies."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) < 4 or data[0] != 0 or data[1] > 1:
@@ -105,7 +103,6 @@ class Ros1Cursor(Cursor):
     """Reads ROS 1 fields: no padding, headers with a sequence number, strings without a final zero."""
 
     origin = 0
-    stamp_at = 4
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at, self.order = data, 0, "<"
@@ -129,16 +126,19 @@ class RawScan(NamedTuple):
 
 
 class RawPose(NamedTuple):
-    """A stamped planar pose with its frames and, from odometry, the twist."""
+    """A stamped planar pose with its frames; the quaternion is x, y, z, w."""
 
     stamp_ns: int
     frame: str
     child: str
     x: float
     y: float
-    yaw: float
-    v: float = 0.0
-    w: float = 0.0
+    quaternion: tuple[float, ...]
+
+    @property
+    def yaw(self) -> float:
+        """Yaw [rad]; NaN when it has none."""
+        return yaw_of(self.quaternion)
 
 
 class RawTransform(NamedTuple):
@@ -170,6 +170,14 @@ def yaw_of(quaternion: Sequence[float]) -> float:
     return math.atan2(2.0 * (w * z + x * y), norm - 2.0 * (y * y + z * z))
 
 
+def yaws_of(quaternions: Array) -> Array:
+    """Yaws (n,) of quaternions (n, 4) as `yaw_of` has them, but for rounding."""
+    x, y, z, w = quaternions.T
+    yaws = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    norm = w**2 + x**2 + y**2 + z**2
+    return np.where(np.isfinite(norm) & (norm > 0.0), yaws, np.nan)
+
+
 def laser_scan(cursor: Cursor) -> RawScan:
     """sensor_msgs/LaserScan."""
     stamp, frame = cursor.header()
@@ -177,25 +185,19 @@ def laser_scan(cursor: Cursor) -> RawScan:
     return RawScan(stamp, frame, geometry, cursor.array("f4", cursor.count(4)))
 
 
-def _pose(cursor: Cursor) -> tuple[float, float, float]:
-    x, y, _, *quaternion = cursor.take("d", 7)
-    return x, y, yaw_of(quaternion)
-
-
 def odometry(cursor: Cursor) -> RawPose:
     """nav_msgs/Odometry."""
     stamp, frame = cursor.header()
     child = cursor.string()
-    x, y, yaw = _pose(cursor)
-    cursor.take("d", 36)
-    v, _, _, _, _, w = cursor.take("d", 6)
-    return RawPose(stamp, frame, child, x, y, yaw, v, w)
+    x, y, _, *quaternion = cursor.take("d", 49)[:7]  # a covariance and the twist follow
+    return RawPose(stamp, frame, child, x, y, tuple(quaternion))
 
 
 def pose_stamped(cursor: Cursor) -> RawPose:
     """geometry_msgs/PoseStamped and the beginning of PoseWithCovarianceStamped."""
     stamp, frame = cursor.header()
-    return RawPose(stamp, frame, "", *_pose(cursor))
+    x, y, _, *quaternion = cursor.take("d", 7)
+    return RawPose(stamp, frame, "", x, y, tuple(quaternion))
 
 
 def transforms(cursor: Cursor) -> list[RawTransform]:
@@ -240,7 +242,7 @@ def pose_array(cursor: Cursor) -> tuple[int, Array]:
 def path(cursor: Cursor) -> tuple[int, Array]:
     """nav_msgs/Path: stamp and (n, 3) x, y, yaw."""
     stamp, _ = cursor.header()
-    rows = [pose_stamped(cursor)[3:6] for _ in range(cursor.count(64))]
+    rows = [(pose.x, pose.y, pose.yaw) for pose in (pose_stamped(cursor) for _ in range(cursor.count(64)))]
     return stamp, np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 

@@ -36,12 +36,11 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
         if len(columns.stamps_ns):
             if streams.frames.lookup(columns.child, scan_frame) is None:
                 streams.follow_tf()
-            times = np.array([time for time, _ in streams.odometry[chosen]], dtype=np.int64)[columns.kept]
             if columns.others:
                 left = ", ".join(f"{count} of {link}" for link, count in columns.others.items())
                 notes.append(f"{chosen}: poses of several frames; {left} left out")
             base = columns.child or base_of(streams.frames)
-            return _source(base, columns.stamps_ns, times, columns.xyt, chosen, notes)
+            return _source(base, columns.stamps_ns, columns.log_times_ns, columns.xyt, chosen, notes)
     if len(names) > 1:
         notes.append(f"several odometry topics and no /odom ({', '.join(names)}): /tf is used")
     streams.follow_tf()

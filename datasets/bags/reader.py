@@ -87,7 +87,7 @@ def read_poses(path: Path, topic: str) -> Trajectory:
     """
     found = [pose for _, pose in _decoded(path, topic, _POSES, "poses")]
     stamps = np.array([pose.stamp_ns for pose in found], dtype=np.int64)
-    return Trajectory(stamps, SE2.from_array(np.array([pose[3:6] for pose in found])))
+    return Trajectory(stamps, SE2.from_array([(pose.x, pose.y, pose.yaw) for pose in found]))
 
 
 def read_commands(path: Path) -> tuple[Stamps, Array, Array]:

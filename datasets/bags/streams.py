@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
 
 from turtlebag.datasets.bags import decode
-from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
 from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
 from turtlebag.datasets.bags.tf_frames import FrameTree
 from turtlebag.datasets.bags.topics import CLOUD, IMU, MAPPED, ODOMETRY, SCAN, TOPICS, typestore
-from turtlebag.datasets.types import ImuLog
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import ImuLog, Stamps
 
+Decoded = TypeVar("Decoded")
 Raw = list[tuple[int, bytes]]
 """Undecoded messages of one topic with their log times [ns]."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OdometryColumns:
+    """nav_msgs/Odometry of one topic: stamps and log times (n,), planar poses (n, 3) and the child frame.
+
+    If several robots or nodes write to it, only the most frequent frames are kept; `others` counts the rest
+    by frame.
+    """
+
+    stamps_ns: Stamps
+    log_times_ns: Stamps
+    xyt: Array
+    child: str
+    others: dict[str, int]
 
 
 class Streams:
@@ -89,16 +110,37 @@ class Streams:
 
     def read_odometry(self, name: str) -> OdometryColumns:
         """Decoded poses of an odometry topic."""
-        raw = self.odometry[name]
-        columns = odometry([data for _, data in raw], self.bag.cursor)
-        self.bad += len(raw) - len(columns.kept) - sum(columns.others.values())
-        return columns
+        found = self._decoded(self.odometry[name], decode.odometry)
+        links = Counter((pose.frame, pose.child) for _, pose in found)
+        (main, _), *rest = links.most_common() or [(("", ""), 0)]
+        ours = [(time, pose) for time, pose in found if (pose.frame, pose.child) == main]
+        rows = np.array([(pose.x, pose.y, *pose.quaternion) for _, pose in ours]).reshape(-1, 6)
+        return OdometryColumns(
+            np.array([pose.stamp_ns for _, pose in ours], dtype=np.int64),
+            np.array([time for time, _ in ours], dtype=np.int64),
+            np.column_stack([rows[:, :2], decode.yaws_of(rows[:, 2:])]),
+            main[1],
+            {f"{parent} -> {child}": count for (parent, child), count in rest},
+        )
 
     def read_imu(self) -> ImuLog | None:
         """Samples of /imu or of the only IMU."""
         name = "/imu" if "/imu" in self.imu else next(iter(self.imu), None)
         if name is None or (name != "/imu" and len(self.imu) > 1):
             return None
-        samples = imu([data for _, data in self.imu[name]], self.bag.cursor)
-        self.bad += len(self.imu[name]) - len(samples.stamps_ns)
-        return samples
+        samples = [sample for _, sample in self._decoded(self.imu[name], decode.imu)]
+        return ImuLog(
+            np.array([sample.stamp_ns for sample in samples], dtype=np.int64),
+            np.array([sample.angular for sample in samples], dtype=np.float64).reshape(-1, 3),
+            np.array([sample.linear for sample in samples], dtype=np.float64).reshape(-1, 3),
+        )
+
+    def _decoded(self, raw: Raw, read: Callable[[decode.Cursor], Decoded]) -> list[tuple[int, Decoded]]:
+        """The intact messages with their log times [ns]; the others are counted."""
+        found = []
+        for log_time, data in raw:
+            try:
+                found.append((log_time, read(self.bag.cursor(data))))
+            except decode.BadMessage:
+                self.bad += 1
+        return found

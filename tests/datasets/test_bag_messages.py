@@ -51,7 +51,7 @@ def built(store, rng, frame, child):
     xyz, angular, quaternion, variances = (rng.normal(size=n) for n in (3, 3, 4, 36))
     qx, qy, qz, qw = quaternion
     yaw = math.atan2(2.0 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-    at = tuple(map(pytest.approx, (xyz[0], xyz[1], yaw)))
+    at = (*map(pytest.approx, xyz[:2]), tuple(quaternion))
     ranges = rng.random(len(frame) + 3).astype(np.float32)
     geometry = [float(np.float32(v)) for v in rng.random(7)]
     place = pose(store, xyz, quaternion)
@@ -83,8 +83,8 @@ def built(store, rng, frame, child):
         scan,
         (STAMP, ours, tuple(geometry), pytest.approx(ranges)),
     )
-    yield "nav_msgs/Odometry", decode.odometry, drive, (STAMP, ours, below, *at, xyz[0], angular[2])
-    yield "geometry_msgs/PoseStamped", decode.pose_stamped, {"pose": place}, (STAMP, ours, "", *at, 0.0, 0.0)
+    yield "nav_msgs/Odometry", decode.odometry, drive, (STAMP, ours, below, *at)
+    yield "geometry_msgs/PoseStamped", decode.pose_stamped, {"pose": place}, (STAMP, ours, "", *at)
     yield "geometry_msgs/TransformStamped", decode.transforms, link, [linked] * 2
     yield "sensor_msgs/Imu", decode.imu, sample, (STAMP, ours, tuple(angular), tuple(xyz))
     yield "geometry_msgs/Twist", decode.twist, speeds, (xyz[0], angular[2])
