@@ -39,7 +39,7 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
             if columns.others:
                 left = ", ".join(f"{count} of {link}" for link, count in columns.others.items())
                 notes.append(f"{chosen}: poses of several frames; {left} left out")
-            base = columns.child or base_of(streams.frames)
+            base = columns.child or streams.frames.base()
             return _source(base, columns.stamps_ns, columns.log_times_ns, columns.xyt, chosen, notes)
     if len(names) > 1:
         notes.append(f"several odometry topics and no /odom ({', '.join(names)}): /tf is used")
@@ -57,13 +57,7 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
         rows = np.array([(t.xyz[0], t.xyz[1], decode.yaw_of(t.quaternion)) for t in moving])
         return _source(child, stamps, times, rows, "/tf", notes)
     notes.append("no odometry: neither an Odometry topic nor odom -> base in /tf")
-    return OdometrySource(base_of(streams.frames))
-
-
-def base_of(frames: FrameTree) -> str:
-    """Name of the robot's base frame, if there is no odometry."""
-    known = frames.frames()
-    return next((frame for frame in BASES if frame in known), BASES[0])
+    return OdometrySource(frames.base())
 
 
 def _source(

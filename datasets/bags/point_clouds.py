@@ -26,18 +26,17 @@ _LONGEST_SWEEP_S = 2.0
 """Times of points that span more are no times within a sweep."""
 
 
-class _Layout(NamedTuple):
-    """A cloud's message taken apart: its fields as (datatype, offset) in the bytes of each point."""
+class _Points(NamedTuple):
+    """A cloud's message: its points (n,) as records, and the field of their times, if they have one."""
 
     stamp_ns: int
     frame: str
-    fields: dict[str, tuple[int, int]]
-    order: str
-    rows: NDArray[np.uint8]
+    points: NDArray[np.void]
+    time: str | None
 
 
-def _layout(cursor: Cursor) -> _Layout:
-    """Header and bytes (height, width * point_step) of a cloud; BadMessage when they do not fit together."""
+def _points(cursor: Cursor) -> _Points:
+    """Header and points (height * width,) of a cloud; BadMessage when they do not fit together."""
     stamp, frame = cursor.header()
     height, width = cursor.take("I", 2)
     fields = {}
@@ -46,51 +45,41 @@ def _layout(cursor: Cursor) -> _Layout:
         (offset,), (kind,) = cursor.take("I"), cursor.take("B")
         cursor.take("I")
         fields[name] = kind, offset
-    (big_endian,) = cursor.take("B")
+    order = ">" if cursor.take("B")[0] else "<"
     point_step, row_step = cursor.take("I", 2)
     data = cursor.array("u1", cursor.count(1))
-    short = row_step < width * point_step or len(data) < height * row_step
-    if not {"x", "y", "z"} <= fields.keys() or point_step == 0 or short:
-        raise BadMessage("a point cloud without x, y, z or with too little data")
-    for name in ("x", "y", "z", *_time_field(fields)):
-        kind, offset = fields[name]
-        if kind not in _DTYPES or offset + int(_DTYPES[kind][1]) > point_step:
-            raise BadMessage(f"field {name} of a point cloud lies outside its points")
+    if row_step < width * point_step or len(data) < height * row_step or not point_step:
+        raise BadMessage("a point cloud with too little data")
+    time = next((name for name in _TIME_FIELDS if name in fields), None)
+    used = ["x", "y", "z", *([] if time is None else [time])]
+    try:
+        formats = [order + _DTYPES[fields[name][0]] for name in used]
+        offsets = [fields[name][1] for name in used]
+        layout = np.dtype({"names": used, "formats": formats, "offsets": offsets, "itemsize": point_step})
+    except (KeyError, ValueError):
+        raise BadMessage("a point cloud without x, y, z, or with fields outside its points") from None
     rows = data[: height * row_step].reshape(height, row_step)[:, : width * point_step]
-    points = np.ascontiguousarray(rows).reshape(-1, point_step)
-    return _Layout(stamp, frame, fields, ">" if big_endian else "<", points)
-
-
-def _time_field(fields: dict[str, tuple[int, int]]) -> list[str]:
-    return [name for name in _TIME_FIELDS if name in fields][:1]
+    return _Points(stamp, frame, np.ascontiguousarray(rows).reshape(-1).view(layout), time)
 
 
 def decode_cloud(cursor: Cursor) -> tuple[int, str, Cloud]:
     """Stamp [ns], frame and points; non-finite ones and the zeros of no return are left out."""
-    layout = _layout(cursor)
-
-    def column(name: str) -> Array:
-        kind, offset = layout.fields[name]
-        dtype = np.dtype(layout.order + _DTYPES[kind])
-        column = np.ascontiguousarray(layout.rows[:, offset : offset + dtype.itemsize])
-        return column.view(dtype)[:, 0].astype(np.float64)
-
-    xyz = np.stack([column("x"), column("y"), column("z")])
+    stamp_ns, frame, points, time = _points(cursor)
+    xyz = np.stack([points[axis].astype(np.float64) for axis in "xyz"])
     finite = np.isfinite(xyz).all(axis=0) & (xyz != 0.0).any(axis=0)
-    times = None
-    for timed in _time_field(layout.fields):
-        times = _seconds(column(timed)[finite], layout.fields[timed][0], layout.stamp_ns)
-    return layout.stamp_ns, layout.frame, Cloud(np.ascontiguousarray(xyz[:, finite].T), times)
+    times = None if time is None else _seconds(points[time][finite], stamp_ns)
+    return stamp_ns, frame, Cloud(np.ascontiguousarray(xyz[:, finite].T), times)
 
 
-def _seconds(values: Array, kind: int, stamp_ns: int) -> Array | None:
+def _seconds(given: NDArray, stamp_ns: int) -> Array | None:
     """Times of points after the stamp [s]: drivers give seconds, nanoseconds, or either absolutely.
 
     None when they cannot be times within one sweep.
     """
+    values = given.astype(np.float64)
     if not np.isfinite(values).all():
         return None
-    if kind in (5, 6) or np.abs(values).max(initial=0.0) > 1e12:
+    if given.dtype.str[1:] in ("i4", "u4") or np.abs(values).max(initial=0.0) > 1e12:
         values = values * 1e-9
     if np.abs(values).max(initial=0.0) > 1e6:
         values = values - stamp_ns * 1e-9
@@ -131,13 +120,13 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
         nonlocal bad
         index = found.setdefault(name, _Index())
         try:
-            layout = _layout(bag.cursor(data))
+            cloud = _points(bag.cursor(data))
         except BadMessage:
             bad += 1
             return
-        index.stamps.append(layout.stamp_ns)
+        index.stamps.append(cloud.stamp_ns)
         index.log_times.append(log_time)
-        index.frames[layout.frame] += 1
+        index.frames[cloud.frame] += 1
 
     streams = Streams(bag, note_cloud=note)
     chosen = _chosen_topic(path, list(found), topic)

@@ -78,10 +78,7 @@ class Survey:
         """The robot's base frame, if the bag contains it."""
         odometry = [topic for topic in self.of_type(ODOMETRY) if topic.topic.name == "/odom"]
         child = odometry[0].children.most_common(1)[0][0] if odometry and odometry[0].children else ""
-        known = self.frames.frames()
-        if child in known:
-            return child
-        return next((frame for frame in BASES if frame in known), child or BASES[0])
+        return child if child in self.frames.frames() else self.frames.base(child or BASES[0])
 
 
 def survey(path: Path) -> Survey:

@@ -65,6 +65,11 @@ class FrameTree:
         """Every frame seen."""
         return {frame for link in (*self.fixed, *self.moving) for frame in link}
 
+    def base(self, otherwise: str = BASES[0]) -> str:
+        """Name of the robot's base frame among those seen, or else that one."""
+        known = self.frames()
+        return next((frame for frame in BASES if frame in known), otherwise)
+
     def lookup(self, target: str, source: str) -> Array | None:
         """`T_target_source` (4, 4) over fixed links only; None when they do not connect."""
         found = {target: np.eye(4)}

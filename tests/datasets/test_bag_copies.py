@@ -12,7 +12,7 @@ from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, i
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
 from turtlebag.datasets.bags.message import Message, Topic
-from turtlebag.datasets.bags.point_clouds import _seconds, _time_field, decode_cloud, load_clouds
+from turtlebag.datasets.bags.point_clouds import _DTYPES, _seconds, decode_cloud, load_clouds
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.storage import _note_problems
@@ -29,12 +29,10 @@ def test_the_times_of_points_are_told_by_their_size():
         ([0.0, 2.0], 7, [0.0, 2.0]),
         ([0.0, 2.1], 7, None), ([0.0, math.nan], 7, None), ([-2.1, 0.0], 7, None), ([], 7, []),
     ):  # fmt: skip
-        found = _seconds(np.array(values), kind, stamp)
+        found = _seconds(np.array(values, dtype=_DTYPES[kind]), stamp)
         assert (None if found is None else found.tolist()) == (
             None if expected is None else pytest.approx(expected, abs=1e-6)
         )
-    assert _time_field({"time": (7, 12), "t": (6, 16), "x": (7, 0)}) == ["t"]
-    assert _time_field({"x": (7, 0)}) == []
 
 
 def cloud_bytes(fields, step, rows, width, pad=0, short=0, big=False):
@@ -64,6 +62,10 @@ def test_clouds_of_any_layout_are_taken_apart_and_impossible_ones_refused():
     _, _, cloud = decode_cloud(Cursor(cloud_bytes(fields, 20, padded, 1, pad=4)))
     np.testing.assert_array_equal(cloud.points, [[1, 2, 3], [2, 4, 6]])
     np.testing.assert_allclose(cloud.times, [0.01, 0.02])
+    both = cloud_bytes([*XYZ, ("time", 12, 7), ("t", 16, 7)], 20, np.arange(5, dtype="<f4").tobytes(), 1)
+    assert decode_cloud(Cursor(both))[2].times is None
+    both = cloud_bytes([*XYZ, ("t", 12, 7), ("time", 16, 6)], 20, np.full(5, 0.5, "<f4").tobytes(), 1)
+    assert decode_cloud(Cursor(both))[2].times.tolist() == [0.5]
     for bad in (
         cloud_bytes(XYZ[:2], 12, bytes(48), 4),
         cloud_bytes(XYZ, 12, bytes(48), 4, short=1),

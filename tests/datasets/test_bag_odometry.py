@@ -14,7 +14,6 @@ from turtlebag.datasets.bags.odometry import (
     OdometrySource,
     _increasing,
     _source,
-    base_of,
     find_odometry,
     odometry_at,
     running,
@@ -187,8 +186,8 @@ def test_a_link_that_moves_is_a_stream_and_one_of_the_odometry_always():
 def test_a_sensor_is_looked_for_from_the_odometrys_base_and_then_from_the_usual_ones():
     tree, notes, path = FrameTree(), [], Path("x")
     tree.add(link("base_link", "laser", (0.3, 0.0, 0.2)), static=True)
-    assert base_of(tree) == "base_link"
-    assert base_of(FrameTree()) == "base_footprint"
+    assert tree.base() == "base_link"
+    assert FrameTree().base() == "base_footprint"
     np.testing.assert_array_equal(sensor_matrix(path, tree, "laser", "laser", notes), np.eye(4))
     np.testing.assert_array_equal(sensor_matrix(path, tree, "robot", "laser", notes)[:3, 3], [0.3, 0.0, 0.2])
     assert notes == []
@@ -205,7 +204,7 @@ def test_a_sensor_is_looked_for_from_the_odometrys_base_and_then_from_the_usual_
         else:
             assert sensor_matrix(path, far, "base_link", "laser", notes)[0, 3] == x
     tree.add(link("base_footprint", "base_link", (0.0, 0.0, 0.1)), static=True)
-    assert base_of(tree) == "base_footprint"
+    assert tree.base() == "base_footprint"
 
 
 def test_odometry_is_the_one_topic_or_odom_and_else_the_transforms(tmp_path):
