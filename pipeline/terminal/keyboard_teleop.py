@@ -220,11 +220,11 @@ def _ready(stream: int) -> bool:
     return bool(select.select([stream], [], [], 0.0)[0])
 
 
-def clock(speed: float) -> Callable[[int], None]:
-    """A function that returns when a control step is due, at `speed` times real time."""
+def clock(speed: float) -> Callable[[float], None]:
+    """A function that returns when a control step, or part of one, is due at `speed` times real time."""
     begun = time.monotonic()
 
-    def wait(step: int) -> None:
+    def wait(step: float) -> None:
         left = begun + step / (CONTROL_HZ * speed) - time.monotonic()
         if left > 0.0:
             time.sleep(left)

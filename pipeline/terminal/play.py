@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.errors import InputError, if_there
@@ -17,6 +15,8 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.terminal.braille import Canvas, Size
+from turtlebag.pipeline.terminal.keyboard_teleop import clock
+from turtlebag.sim.robots import CONTROL_HZ
 
 _WIDEST_M = 12.0
 _SPEED_WINDOW_NS = 200_000_000
@@ -65,7 +65,8 @@ class Player:
             v, w = self._speed(stamp_ns)
             facts.append(f"odom x {x:+.2f} y {y:+.2f} yaw {math.degrees(yaw):+4.0f} deg")
             facts.append(f"v {v:+.2f} m/s w {w:+.2f} rad/s")
-        facts += [*self._command(stamp_ns), f"nearest {_nearest(scan.ranges):.2f} m"]
+        nearest = np.min(scan.ranges, initial=np.inf, where=np.isfinite(scan.ranges))
+        facts += [*self._command(stamp_ns), f"nearest {nearest:.2f} m"]
         return Frame(seconds, "  ".join(facts), canvas.text())
 
     def _pose(self, stamp_ns: int) -> SE2:
@@ -86,11 +87,6 @@ class Player:
         return [f"cmd {v[index]:+.2f} {w[index]:+.2f}"] if index >= 0 else []
 
 
-def _nearest(ranges: NDArray[np.float32]) -> float:
-    valid = ranges[np.isfinite(ranges)]
-    return float(valid.min()) if valid.size else math.inf
-
-
 def frames(player: Player, *, rate: float, every_s: float) -> Iterator[Frame]:
     """Frames each `every_s` seconds of wall time at `rate` times the recorded speed, and the last one."""
     if not (rate > 0.0 and math.isfinite(rate)):
@@ -103,9 +99,7 @@ def frames(player: Player, *, rate: float, every_s: float) -> Iterator[Frame]:
 
 def play(player: Player, show: Callable[[Frame], None], *, rate: float, every_s: float) -> None:
     """Show the frames when they are due; late ones are not waited for."""
-    start = time.perf_counter()
+    wait = clock(rate)
     for frame in frames(player, rate=rate, every_s=every_s):
-        ahead = frame.time_s / rate - (time.perf_counter() - start)
-        if ahead > 0.0:
-            time.sleep(ahead)
+        wait(frame.time_s * CONTROL_HZ)
         show(frame)

@@ -205,10 +205,6 @@ function goals() {
   if (goal && !told.length) flag(...goal, "", colour.link, { chosen: true });
 }
 
-function keepouts() {
-  for (const outline of scene.keepouts) area(outline);
-}
-
 function area(outline) {
   trace(outline, true);
   fill(colour.bad, 0.14);
@@ -264,7 +260,7 @@ export const LAYERS = [
   ["grid", "Metre grid", metres, true],
   ["costmap", "Costmap", () => grid("costmap"), false],
   ["ghost", "True world (ghost)", ghost, false],
-  ["keepout", "Keep-outs", keepouts, true],
+  ["keepout", "Keep-outs", () => scene.keepouts.forEach(area), true],
   ["boxes", "Boxes", boxes, true],
   ["odom_path", "Odometry path", () => path("odom_path", colour.odometry, 1.5), true],
   ["slam_path", "SLAM path", () => path("slam_path", colour.slam, 2), true],
