@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.settings import NonNegative, Settings
 from turtlebag.datasets.types import Imu, Twist
 from turtlebag.sim.robots import CONTROL_HZ, RobotSpec
 
 RATE_HZ = 100
 GRAVITY = 9.81
-
-NonNegative = Annotated[float, Field(ge=0.0)]
 
 
 class ImuConfig(Settings):

@@ -25,16 +25,17 @@ CONTACT_GAP_M = 5e-4
 """Bullet keeps points of bodies that are merely near; nearer than this they touch."""
 
 
+SUBSTEPS, SOLVER_ITERATIONS = 8, 20
+"""Physics steps a control step (240 Hz), and how often Bullet goes over the contacts in each."""
+BODY_FRICTION = 0.1
+"""Caster on the floor, body on walls, which both have 1."""
+
+
 class PhysicsConfig(Settings):
-    """Friction coefficients against floor and solids (which have 1)."""
+    """What can be set of the physics."""
 
     friction: Annotated[float, Field(gt=0.0)] | None = None
-    """Wheels on the floor; None: as in the robot's file."""
-    body_friction: Annotated[float, Field(ge=0.0)] = 0.1
-    """Caster on the floor, body on walls."""
-    substeps: Annotated[int, Field(ge=8)] = 8
-    """Physics steps a control step: 8 is 240 Hz."""
-    solver_iterations: Annotated[int, Field(ge=1)] = 20
+    """Coefficient of the wheels on the floor, which has 1; None: as in the robot's file."""
 
 
 class Physics:
@@ -49,7 +50,7 @@ class Physics:
     ) -> None:
         self._solids, self._n_standing = [*standing, *moving], len(standing)
         self._n_own = len(self._solids)
-        self._robot, self._config = robot, config
+        self._robot, self._friction = robot, config.friction
         self._client = bullet.connect(bullet.DIRECT)
         self._com = tuple(float(value) for value in composite(robot.parts)[1])
         self._forces = [robot.wheels.torque] * 2
@@ -81,9 +82,9 @@ class Physics:
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         bullet.setPhysicsEngineParameter(
-            fixedTimeStep=PERIOD_S / self._config.substeps,
+            fixedTimeStep=PERIOD_S / SUBSTEPS,
             numSubSteps=0,
-            numSolverIterations=self._config.solver_iterations,
+            numSolverIterations=SOLVER_ITERATIONS,
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
@@ -106,7 +107,7 @@ class Physics:
             self.step(0.0, 0.0)
 
     def _load_robot(self, T_world_base: SE2) -> None:
-        client, config = self._client, self._config
+        client = self._client
         x, y, yaw = (float(value) for value in T_world_base.xyt)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "robot.urdf"
@@ -118,8 +119,8 @@ class Physics:
                 flags=bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER,
                 physicsClientId=client,
             )
-        wheel_friction = config.friction or self._robot.wheels.friction
-        for link, friction in [(-1, config.body_friction)] + [(j, wheel_friction) for j in JOINTS]:
+        wheel_friction = self._friction or self._robot.wheels.friction
+        for link, friction in [(-1, BODY_FRICTION)] + [(j, wheel_friction) for j in JOINTS]:
             bullet.changeDynamics(
                 self.body,
                 link,
@@ -144,7 +145,7 @@ class Physics:
             physicsClientId=self._client,
         )
         found: set[int] = set()
-        for _ in range(self._config.substeps):
+        for _ in range(SUBSTEPS):
             bullet.stepSimulation(physicsClientId=self._client)
             if watch:
                 found |= self.touched()

@@ -126,7 +126,7 @@ class _Sensors:
 
 
 class Simulator:
-    """Simulates in steps of 1/30 s, each of eight or more physics steps. A context manager, as it owns a
+    """Simulates in steps of 1/30 s, each of eight physics steps. A context manager, as it owns a
     Bullet client.
 
     Call `reset` first, then `step`. The same world, robot, config, seed and commands give
