@@ -15,7 +15,7 @@ from turtlebag.datasets.types import LidarSpec
 from turtlebag.sim.lidar_errors import LidarUnit, incidence
 from turtlebag.sim.raycast import beam_rays, cast
 from turtlebag.sim.robots import LidarErrors, RobotSpec
-from turtlebag.sim.shapes import Solid, sections
+from turtlebag.sim.shapes import Sections, Solid, sections
 
 GAZEBO_SIGMA = 0.01
 """White noise of the tutorial's lidar in Gazebo [m]."""
@@ -62,7 +62,7 @@ class Lidar:
         self._unit = LidarUnit(config.errors or LidarErrors(), rng) if config.noise == "sensor" else None
         self._T_base_lidar = robot.T_base_lidar.xyt
         n = self.spec.n_beams
-        self._movers: list[tuple[Array, Array]] = []
+        self._movers: list[Sections] = []
         self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
 
     def surround(self, solids: Sequence[Solid]) -> None:
@@ -101,13 +101,14 @@ class Lidar:
         step = np.minimum(when.astype(np.int64), len(self._movers) - 1)
         for number, moving in enumerate(self._movers):
             beams = np.nonzero(step == number)[0]
-            near, _ = cast(origins[beams], directions[beams], bearings[beams], moving, limit)
+            parts = moving.segments, moving.circles
+            near, _ = cast(origins[beams], directions[beams], bearings[beams], parts, limit)
             closer = near < ranges[beams]
             ranges[beams[closer]] = near[closer]
             hits[beams[closer]] = -1
         return ranges, hits, origins, directions
 
-    def note_movers(self, outline: tuple[Array, Array], earlier: int) -> None:
+    def note_movers(self, outline: Sections, earlier: int) -> None:
         """Where the movers stand in the control step just taken; `earlier`: steps before it in this turn."""
         self._movers = [*self._movers[len(self._movers) - earlier :], outline]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,8 @@ class MovingSolid:
         self, mover: Mover, standing: Sections, robot_radius: float, rng: np.random.Generator
     ) -> None:
         self.mover, self.standing, self._rng = mover, standing, rng
+        self.outline = sections([mover.solid], mover.solid.z_min)
+        """Where it would stand at the origin of its own frame."""
         self._reach = mover.radius + robot_radius + YIELD_M
         self.position = np.array(mover.path[0], dtype=np.float64)
         self.velocity = np.zeros(2)
@@ -61,12 +63,6 @@ class MovingSolid:
             left = self.mover.speed * dt
             self.position = self._roam(left) if self.mover.wander else self._follow(left)
         self.velocity = (self.position - before) / dt
-
-    def sections(self) -> tuple[Array, Array]:
-        """Outline where it stands now: segments (n, 4), circles (m, 3)."""
-        outline = sections([self.mover.solid], self.mover.solid.z_min)
-        segments = outline.segments + np.tile(self.position, 2)
-        return segments, outline.circles + np.array([*self.position, 0.0])
 
     def _in_the_way(self, robot_xy: Array) -> bool:
         offset = robot_xy - self.position
@@ -109,10 +105,6 @@ class MovingSolid:
         return self.position
 
 
-def outlines(moving: Sequence[MovingSolid]) -> tuple[Array, Array]:
-    """Outlines of all the given movers where they stand now: segments (n, 4), circles (m, 3)."""
-    parts = [one.sections() for one in moving]
-    return (
-        np.vstack([np.zeros((0, 4)), *(part[0] for part in parts)]),
-        np.vstack([np.zeros((0, 3)), *(part[1] for part in parts)]),
-    )
+def outlines(moving: Iterable[MovingSolid]) -> Sections:
+    """Outlines of all the given movers where they stand now."""
+    return sum((one.outline.moved(one.position) for one in moving), sections([], 0.0))

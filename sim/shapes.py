@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +214,11 @@ class Sections:
             np.concatenate([self.segment_return, other.segment_return]),
             np.concatenate([self.circle_return, other.circle_return]),
         )
+
+    def moved(self, xy: Array) -> Sections:
+        """The same outlines, carried by (2,) [m]."""
+        circles = self.circles + np.array([*xy, 0.0])
+        return replace(self, segments=self.segments + np.tile(xy, 2), circles=circles)
 
 
 def sections(solids: Sequence[Solid], low: float, high: float | None = None) -> Sections:

@@ -46,10 +46,10 @@ class Surroundings:
         return [*self._world.shapes, *self._dropped]
 
     @property
-    def visible_movers(self) -> tuple[Array, Array]:
+    def visible_movers(self) -> Sections:
         """Outlines where they stand now of the movers that the planar lidar sees."""
         height = self._robot.lidar_height
-        return outlines([one for one in self.movers if one.mover.solid.crosses(height)])
+        return outlines(one for one in self.movers if one.mover.solid.crosses(height))
 
     def step(self, robot_xy: Array) -> None:
         """Movers move on for one control step."""
@@ -109,6 +109,5 @@ class Surroundings:
     def _note(self) -> None:
         """Where the movers stand now."""
         height = self._robot.height
-        segments, circles = outlines([one for one in self.movers if one.mover.solid.z_min < height])
-        self.moving = Sections(segments, circles, np.ones(len(segments)), np.ones(len(circles)))
+        self.moving = outlines(one for one in self.movers if one.mover.solid.z_min < height)
         self._touchable = self._standing + self.moving
