@@ -22,6 +22,7 @@ from pydantic_core import PydanticCustomError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import Signature, signatures
+from turtlebag.datasets.plurals import one
 
 _OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
@@ -141,12 +142,12 @@ class Answer(NamedTuple):
     def require_a(self, kind: type, value: object) -> None:
         """InputError unless it is of this kind."""
         if not isinstance(value, kind):
-            raise self.wrong(f"must return a {kind.__name__}, not {told_kind(value)}")
+            raise self.wrong(f"must return {one(kind.__name__)}, not {told_kind(value)}")
 
     def require_kind(self, what: str, value: object, *kinds: type) -> None:
         """InputError unless `what` of it is of one of these kinds."""
         if not isinstance(value, kinds):
-            raise self.wrong(f"{what} must be a {kinds[0].__name__}, not {told_kind(value)}")
+            raise self.wrong(f"{what} must be {one(kinds[0].__name__)}, not {told_kind(value)}")
 
     def require_finite(self, what: str, value: object, *shape: int) -> None:
         """InputError unless `what` of it is finite, an array of this shape or a number."""
@@ -177,7 +178,7 @@ def told_kind(value: object) -> str:
     """What a value is, in a few words."""
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
-    return "None" if value is None else f"a {type(value).__name__}"
+    return "None" if value is None else one(type(value).__name__)
 
 
 def _imported(module: str, name: str) -> Any:

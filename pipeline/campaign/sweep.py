@@ -53,15 +53,15 @@ def sweep(
     """Run what is left of a campaign, each command line by `run`, and write its results to `out`; 1 when
     any case failed.
 
-    `parsed` is an InputError for a command line that `run` would not take: it is asked once for each stage,
-    before any case runs. Workers keep what they make in `store`, which is `out` itself where no URL is given.
+    `parsed` is an InputError for a command line that `run` would not take: it is asked of each, before any
+    case runs. Workers keep what they make in `store`, which is `out` itself where no URL is given.
     It grows in `OUT.partial` and stays there when it is stopped: the same command goes on with it.
     """
     campaign = load_campaign(campaign_name)
     todo = cases(campaign)
     require_scheduler(scheduler)
     if parsed is not None:
-        for stage, words in todo[0].commands.items():
+        for stage, words in dict.fromkeys((s, tuple(w)) for case in todo for s, w in case.commands.items()):
             try:
                 parsed([*words, "--out", "OUT"])
             except InputError as error:

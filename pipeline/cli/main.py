@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from functools import cache
 from itertools import takewhile
 from types import FrameType
 from typing import Any, NoReturn
@@ -63,12 +64,12 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(allow_abbrev=False, **more)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """As argparse's, except that the verb's parser reports what is unknown: first options, which may be
-        a required one misspelt, and it can suggest some."""
-        if self._subparsers is None:
-            for word in takewhile(lambda word: word != "--", args):
-                if word.startswith("--") and word.partition("=")[0] not in self._option_string_actions:
-                    self._report([word])
+        """As argparse's, except that the parser that a word is meant for reports what is unknown: first
+        options, which may be a required one misspelt, and it can suggest some."""
+        last = self._subparsers is None
+        for word in takewhile(lambda word: word != "--" and (last or word.startswith("-")), args):
+            if word.startswith("--") and word.partition("=")[0] not in self._option_string_actions:
+                self._report([word])
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self._report(unknown)
@@ -98,6 +99,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+@cache
 def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
     """The parser; only the named verbs get their arguments, because that imports them."""
     parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")

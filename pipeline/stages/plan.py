@@ -83,20 +83,20 @@ def plan(
     query.require_free(costmap, map_path, "--")
     found, reason, planning_s = search(costmap, query, config)
     metrics = plan_metrics(costmap, query.robot, found, reason, config)
-    others: dict[str, Plan | None] = {}
-    times: dict[str, float] = {config.plan.name: planning_s}
+    others: dict[str, tuple[Plan | None, str, float]] = {}
     if compare:
         metrics["planners"] = []
         for other in planners_to_compare(config):
             name = other.plan.name
-            others[name], why, times[name] = search(costmap, query, other)
-            metrics["planners"].append(plan_metrics(costmap, query.robot, others[name], why, other))
-            log.info("%s", _line(metrics["planners"][-1], times[name]))
+            known = (found, reason, planning_s) if name == config.plan.name else None
+            others[name] = path, why, took_s = known or search(costmap, query, other)
+            metrics["planners"].append(plan_metrics(costmap, query.robot, path, why, other))
+            log.info("%s", _line(metrics["planners"][-1], took_s))
     parts = {"plan.planner": config.plan.planner}
     with out.staged() as folder:
         _write_path(folder / "path.csv", found)
-        for name, other_found in others.items():
-            _write_path(folder / f"path-{name}.csv", other_found)
+        for name, (path, *_) in others.items():
+            _write_path(folder / f"path-{name}.csv", path)
         out.finish(
             folder,
             "plan",
@@ -109,7 +109,7 @@ def plan(
                 "out": str(out.folder),
                 "parts": parts,
                 "planning_s": round(planning_s, 6),
-                **({"planners_s": {n: round(s, 6) for n, s in times.items()}} if compare else {}),
+                **({"planners_s": {n: round(s, 6) for n, (*_, s) in others.items()}} if compare else {}),
             },
         )
     if found is None:

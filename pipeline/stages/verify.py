@@ -65,6 +65,8 @@ def stage_folders(report: Path, manifest: Manifest) -> list[Path]:
         raise InputError(f"{report}: is a {manifest.stage} output, not a report")
     folders = []
     for label, entry in manifest.inputs.items():
+        if label.startswith("rival:"):
+            raise InputError(f"{report}: is a report of an earlier version; make it again")
         if label.startswith(MARK):
             continue
         for candidate in (report / manifest.folders.get(label, ""), entry.path):

@@ -92,7 +92,7 @@ WRONG = {
         lambda t: tb.compare(t / "a", t / "b", systems={"x": t / "other.tum"}),
         "^compare: give another",
     ),
-    "a number": (lambda t: tb.compare(3, t / "b"), "^output: expected a path, not a int"),
+    "a number": (lambda t: tb.compare(3, t / "b"), "^output: expected a path, not an int"),
     "nothing of ours": (lambda t: tb.compare(None, t / "b"), "^output: expected a path, not None"),
     "two kinds": (lambda t: tb.compare(t / "a", t / "record"), "nothing to compare"),
     "a list": (lambda t: tb.compare(t / "a", systems=["x"]), "^systems: expected a mapping .*, not a list"),
@@ -100,7 +100,7 @@ WRONG = {
         lambda t: tb.compare(t / "a", systems={"x=y": t / "other.tum"}),
         "^'x=y': a system's name",
     ),
-    "no file": (lambda t: tb.compare(t / "a", systems={"x": 3}), "^systems x: expected a path, not a int"),
+    "no file": (lambda t: tb.compare(t / "a", systems={"x": 3}), "^systems x: expected a path, not an int"),
     "nothing of it": (lambda t: tb.compare(t / "a", systems={"x": tb.System()}), "^x has no trajectory"),
     "a map alone": (
         lambda t: tb.compare(t / "a", systems={"x": tb.System(map=t / "other.yaml", shift=1)}),

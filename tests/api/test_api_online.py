@@ -63,7 +63,7 @@ def test_the_mapper_and_the_localiser_follow_a_robot_that_is_driven(chain):
         assert np.hypot(*(localiser.T_map_odom @ seen.odometry.T_odom_base).xy - truth.xy) < 0.08
         with pytest.raises(tb.InputError, match="is not after the previous one"):
             mapper.observe(seen)
-        with pytest.raises(tb.InputError, match="expected a Observation, not a int"):
+        with pytest.raises(tb.InputError, match="expected an Observation, not an int"):
             localiser.observe(5)
 
 
@@ -111,7 +111,7 @@ def samples(*stamps, pose=(0.0, 0.0, 0.0)):
 
 
 BAD = {
-    "no scan": (lambda s: (s.ranges, (0, 0, 0)), "scan: expected a Scan, not a ndarray"),
+    "no scan": (lambda s: (s.ranges, (0, 0, 0)), "scan: expected a Scan, not an array"),
     "too few ranges": (
         lambda s: (changed(s, ranges=s.ranges[1:]), (0, 0, 0)),
         r"has shape \(359,\).*360 beams",

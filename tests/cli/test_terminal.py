@@ -53,6 +53,14 @@ def test_an_unknown_option_is_told_by_its_verb_with_the_nearest_one(capsys, word
     assert capsys.readouterr().err == f"turtlebag: record: {said} (see turtlebag record --help)\n"
 
 
+def test_an_unknown_option_before_the_verb_is_told_first(capsys):
+    for words, place in ((["--foo", "map"], "turtlebag"), (["bag", "--foo=1", "info"], "turtlebag bag")):
+        assert main(words) == 2
+        assert f"unrecognized arguments: {' '.join(words[place.count(' ') :][:1])} (see {place} --help)" in (
+            capsys.readouterr().err
+        )
+
+
 def test_an_option_is_not_abbreviated_and_a_misspelt_required_one_is_told_first(capsys):
     assert main(["record", "--wor", "empty", "--out", "x"]) == 2
     assert "unrecognized arguments: --wor; did you mean --world?" in capsys.readouterr().err

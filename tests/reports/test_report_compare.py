@@ -1,6 +1,7 @@
 """Comparisons of two outputs of one stage."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -64,6 +65,10 @@ def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
         "paths.png",
     ]
     assert "front.sigma" in page
+    [table] = re.findall(r'<table class="sortable">.*?</table>', page, flags=re.DOTALL)
+    rows = table.partition("<tbody>")[2].count("<tr>")
+    assert rows > 0
+    assert len(re.findall(r'data-sort="[-+.e\d]*"', table)) == 4 * rows
     a, b = json.loads((tmp_path / "out/metrics.json").read_text())["ate_m.rmse"]
     assert b > 2.0 * a
 

@@ -6,12 +6,16 @@ import pytest
 
 from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.stages import plan as stage
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, _with_start, solve
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut
+from turtlebag.sim.robots import load_robot
 
 
 def walled_room() -> OccupancyGrid:
@@ -289,3 +293,17 @@ class Line:
 def test_a_solution_without_its_start_gets_it_where_it_can_be_joined(states, whole):
     path = _with_start(Line, Line(*states), 1.0)
     assert (None if path is None else path.states) == whole
+
+
+def test_a_comparison_asks_each_planner_once(tmp_path, monkeypatch):
+    asked = []
+
+    def searched(costmap, query, config):
+        asked.append(config.plan.name)
+        return None, "none", 0.0
+
+    monkeypatch.setattr(stage, "search", searched)
+    save_map(room(), tmp_path)
+    query = stage.Query(load_robot("burger"), SE2.from_xyt(1.0, 1.0, 0.0), SE2.from_xyt(1.2, 1.0, 0.0))
+    assert stage.plan(tmp_path / "map.yaml", query, Output(tmp_path / "out"), compare=True) == 1
+    assert len(asked) == len(set(asked)) > 10

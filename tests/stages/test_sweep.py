@@ -208,6 +208,19 @@ def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
     assert said.endswith("16 cases, 8 failed\n")
 
 
+def test_the_commands_of_every_case_are_checked_before_the_first_runs(tmp_path):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    def parsed(words):
+        if "--odd" in words:
+            raise InputError("unrecognized arguments: --odd")
+
+    (tmp_path / "campaign.yaml").write_text(UNDRAWN)
+    with pytest.raises(InputError, match=r"stages\.make: unrecognized arguments: --odd"):
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, parsed)
+    assert [path.name for path in tmp_path.iterdir()] == ["campaign.yaml"]
+
+
 def test_a_scheduler_that_is_not_there_leaves_nothing(tmp_path):
     from turtlebag.pipeline.campaign.sweep import sweep
 

@@ -219,6 +219,15 @@ def test_a_folder_may_have_the_name_of_the_verb_that_made_it(tree, tmp_path, mon
     assert "map/plan:length_m" in {check.key for check in found.checks}
 
 
+def test_a_report_of_an_earlier_version_is_to_be_made_again(tree, capsys):
+    path = tree / "report/manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["inputs"]["rival:other/trajectory"] = {"path": "poses.tum", "sha256": {"": "0"}}
+    path.write_text(json.dumps(manifest))
+    assert main(["verify", str(tree / "report")]) == 2
+    assert capsys.readouterr().err.endswith("is a report of an earlier version; make it again\n")
+
+
 @pytest.mark.slow
 def test_what_is_no_report_is_refused(tree, tmp_path, capsys):
     for folder in (tree / "map", tmp_path, tree / "gone"):

@@ -11,6 +11,8 @@ import numpy as np
 from turtlebag.api.making import Pose, pose_of
 from turtlebag.datasets import types
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.parts import told_kind
+from turtlebag.datasets.plurals import one
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, LidarSpec, Scan
 
@@ -20,7 +22,7 @@ LATEST_NS = 2**62
 def require_kind(value: object, kind: type, what: str) -> None:
     """InputError unless it is of this kind."""
     if not isinstance(value, kind):
-        raise InputError(f"{what}: expected a {kind.__name__}, not a {type(value).__name__}")
+        raise InputError(f"{what}: expected {one(kind.__name__)}, not {told_kind(value)}")
 
 
 def checked_scan(scan: Scan, last: Scan | None) -> Scan:
