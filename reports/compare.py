@@ -17,8 +17,7 @@ from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.figures import series, systems
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.metric_spec import LESS_IS_BETTER, MORE_IS_BETTER, MetricSpec
-from turtlebag.reports.metric_specs import SPECS
+from turtlebag.reports.metric_specs import LESS_IS_BETTER, MORE_IS_BETTER, SPECS, MetricSpec
 from turtlebag.reports.metrics.map import walls_in
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import DASH, leaves, lookup, shown

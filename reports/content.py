@@ -11,8 +11,7 @@ from turtlebag.datasets.plurals import counted
 from turtlebag.reports.drawing import draw_localise, draw_map, draw_plan, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.interactive_map import InteractiveMap, interactive_map
-from turtlebag.reports.metric_spec import Section
-from turtlebag.reports.metric_specs import GOAL_NUMBERS, GOAL_SOURCES, PICTURE_SOURCES
+from turtlebag.reports.metric_specs import GOAL_NUMBERS, PICTURE_SOURCES, Section
 from turtlebag.reports.metrics.navigation import goal_counts, outcome, truly_reached
 from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.numbers import (
@@ -81,7 +80,7 @@ class Part:
     @property
     def goal_files(self) -> list[tuple[str, str]]:
         """Files the table of goals is computed from, with their sha256."""
-        return sorted(files_of(self.stage, GOAL_SOURCES).items())
+        return sorted(files_of(self.stage, GOAL_NUMBERS[0].sources).items())
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from turtlebag.reports.metric_spec import MetricSpec, Section
-from turtlebag.reports.metric_specs import REFERENCES, SECTIONS, SPECS
+from turtlebag.reports.metric_specs import SECTIONS, SPECS, MetricSpec, Section
 from turtlebag.reports.stages import Stage
 
 DASH = "\u2013"
@@ -64,7 +63,7 @@ class Number:
     def files(self) -> list[tuple[str, str]]:
         """Files that it is computed from, with their sha256."""
         found = files_of(self.stage, self.spec.sources)
-        for name in REFERENCES.get(self.spec.path.partition(".")[0], ()):
+        for name in self.spec.against:
             found |= {f"{name}: {path}": digest for path, digest in self.stage.hashes(name).items()}
         return sorted(found.items())
 

@@ -12,8 +12,7 @@ from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.figures.series import AXIS_TOLD
-from turtlebag.reports.metric_spec import MORE_IS_BETTER, MetricSpec
-from turtlebag.reports.metric_specs_systems import EVO, NOT_JUDGED, SYSTEMS
+from turtlebag.reports.metric_specs import MORE_IS_BETTER, SYSTEMS, MetricSpec
 from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.systems import Measured, Numbers
 from turtlebag.reports.numbers import lookup, shown
@@ -34,7 +33,6 @@ class Row:
     """One number of all systems."""
 
     spec: MetricSpec
-    evo: str
     cells: list[Cell]
 
 
@@ -87,7 +85,7 @@ class SystemComparison:
         values = [lookup(numbers, spec.path) for numbers in self.metrics["systems"].values()]
         texts = [shown(value, spec.unit) for value in values]
         known = [(value, text) for value, text in zip(values, texts, strict=True) if value is not None]
-        judged = self._is_error(spec.path) and spec.path not in NOT_JUDGED
+        judged = spec.judged and self._is_error(spec.path)
         judged = judged and len({text for _, text in known}) > 1
         more = spec.path.rpartition(".")[2] in MORE_IS_BETTER
         best = (max if more else min)(known)[1] if judged else None
@@ -95,7 +93,7 @@ class SystemComparison:
             Cell(f"systems:systems.{name}.{spec.path}", value, text, text == best)
             for name, value, text in zip(self.names, values, texts, strict=True)
         ]
-        return Row(spec, EVO.get(spec.path, ""), cells)
+        return Row(spec, cells)
 
     @property
     def sentence(self) -> str:
