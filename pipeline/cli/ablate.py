@@ -6,19 +6,20 @@ import argparse
 from pathlib import Path
 
 from turtlebag.pipeline.campaign.parts import PARTS
-from turtlebag.pipeline.cli.arguments import add_config, add_output, flag, option, output
+from turtlebag.pipeline.cli.arguments import output
+from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag ablate data/records/world --replace odometry --out data/ablation"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of `turtlebag ablate`."""
-    option(parser, "record", "DIR", "output of record", Path)
+    parser.option("record", "DIR", "output of record", Path)
     text = f"what to replace with ground truth: none, or a comma-separated list of {', '.join(PARTS)}"
-    option(parser, "--replace", "PARTS", text, default="none")
-    flag(parser, "--patrol", "also drive the tutorial's patrol on the map, with the same parts replaced")
-    add_config(parser)
-    add_output(parser)
+    parser.option("--replace", "PARTS", text, default="none")
+    parser.flag("--patrol", "also drive the tutorial's patrol on the map, with the same parts replaced")
+    parser.add_config()
+    parser.add_output()
 
 
 def run(args: argparse.Namespace) -> int:

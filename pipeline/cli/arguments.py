@@ -1,11 +1,10 @@
-"""Arguments that several commands share, and the parsing of their values."""
+"""The values of arguments that several commands share."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import os
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,61 +17,6 @@ if TYPE_CHECKING:
     from turtlebag.datasets.outputs import Output
 
 
-class OrOwn(tuple[str, ...]):
-    """Choices of an option that also accepts a user's class, module:Class."""
-
-    def __contains__(self, name: object) -> bool:
-        """Whether it is one of the choices, or could be such a class."""
-        from turtlebag.datasets.parts import is_own  # NumPy, which --help does without
-
-        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
-
-
-def add_action(actions: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    """A verb, or an action of one; its help ends with an example of one line, for copying."""
-    parser: argparse.ArgumentParser = actions.add_parser(
-        name,
-        help=text,
-        description=f"{text[0].upper()}{text[1:]}.",
-        epilog=f"example:\n  {example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    return parser
-
-
-REPEATED: dict[str, Any] = {"action": "append", "default": []}
-"""For an option that may be repeated: its values make a list."""
-
-
-def option(
-    parser: argparse.ArgumentParser,
-    name: str,
-    metavar: str,
-    text: str,
-    kind: Callable[[str], Any] = str,
-    **more: Any,
-) -> None:
-    """An option with a value, or an argument if the name has no dashes."""
-    parser.add_argument(name, metavar=metavar, help=text, type=kind, **more)
-
-
-def flag(parser: argparse.ArgumentParser, name: str, text: str) -> None:
-    """An option without a value."""
-    parser.add_argument(name, action="store_true", help=text)
-
-
-def add_output(
-    parser: argparse.ArgumentParser,
-    text: str = "folder to write the results to",
-    *,
-    what: str = "DIR",
-    required: bool = True,
-) -> None:
-    """--out and --force."""
-    option(parser, "--out", what, text, Path, required=required)
-    flag(parser, "--force", "replace --out if it exists")
-
-
 def output(args: argparse.Namespace) -> Output:
     """The values of --out and --force; InputError if it exists and may not be replaced."""
     from turtlebag.datasets.outputs import Output  # which `bag info` does without
@@ -80,36 +24,9 @@ def output(args: argparse.Namespace) -> Output:
     return Output(args.out, args.force, args.command_line)
 
 
-def add_config(parser: argparse.ArgumentParser) -> None:
-    """--config and --set."""
-    option(parser, "--config", "FILE", "YAML file with settings", Path)
-    text = "override one setting; may be repeated"
-    option(parser, "--set", "KEY=VALUE", text, dest="settings", **REPEATED)
-
-
-def add_world(parser: argparse.ArgumentParser, seed_value: int) -> None:
-    """What is simulated: --world, --robot, --seed and --start."""
-    text = "world: a name, a YAML or SDF file, or your own class (module:Class)"
-    option(parser, "--world", "W", text, required=True)
-    option(parser, "--robot", "R", "robot: a name or a YAML file (default: the world's own)")
-    add_seed(parser, seed_value)
-    option(parser, "--start", "X,Y,YAW", "true start pose (default: the world's spawn)")
-
-
 def start_of(args: argparse.Namespace) -> SE2 | None:
     """The pose of --start, if given."""
     return None if args.start is None else pose(args.start, "--start")
-
-
-def add_seed(parser: argparse.ArgumentParser, value: int) -> None:
-    """--seed."""
-    option(parser, "--seed", "N", f"random seed (default: {value})", seed, default=value)
-
-
-def add_map(parser: argparse.ArgumentParser, purpose: str, *, required: bool = True) -> None:
-    """--map."""
-    text = f"map to {purpose} on: its YAML file, or a folder that map wrote"
-    option(parser, "--map", "MAP", text, map_file, required=required)
 
 
 def named_inputs(args: argparse.Namespace) -> list[Path]:
@@ -147,6 +64,22 @@ def seed(text: str) -> int:
     return value
 
 
+def positive(text: str) -> float:
+    """A finite number of more than 0."""
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
+    return value
+
+
+def count(text: str) -> int:
+    """A number of things, 1 or more."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, not {text}")
+    return value
+
+
 def pose(text: str, option: str) -> SE2:
     """`X,Y,YAW`, finite and of plausible size; InputError names the option."""
     parts = text.split(",")
@@ -173,12 +106,6 @@ def initial_pose(text: str | None, *words: str) -> Any:
         return pose(text, "--initial-pose")
     except InputError as error:
         raise InputError(f"{error}; or {' or '.join(words)}") from None
-
-
-def add_laser(parser: argparse.ArgumentParser, source: str) -> None:
-    """--laser, which overrides the laser's pose in the argument `source`."""
-    text = f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}"
-    option(parser, "--laser", "X,Y,YAW[,upside-down]", text)
 
 
 def laser(text: str | None) -> tuple[SE2 | None, bool]:

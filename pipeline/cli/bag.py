@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import REPEATED, add_action, add_output, option, output
+from turtlebag.pipeline.cli.arguments import output
+from turtlebag.pipeline.cli.parser import Parser, add_action
 from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
 
 if TYPE_CHECKING:
@@ -21,15 +22,13 @@ if TYPE_CHECKING:
 EXAMPLE = "turtlebag bag info data/record"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The actions and their arguments."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
 
-    def action(
-        name: str, act: Callable[[argparse.Namespace], int], text: str, example: str
-    ) -> argparse.ArgumentParser:
+    def action(name: str, act: Callable[[argparse.Namespace], int], text: str, example: str) -> Parser:
         sub = add_action(actions, name, text, example)
-        option(sub, "bag", "BAG", "record folder, bag folder or bag file", Path)
+        sub.option("bag", "BAG", "record folder, bag folder or bag file", Path)
         sub.set_defaults(run=act)
         return sub
 
@@ -47,24 +46,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "turtlebag bag play data/record --rate 4",
     )
     text = "playback speed (default: 1, the speed of the recording)"
-    option(sub, "--rate", "R", text, float, default=1.0)
+    sub.option("--rate", "R", text, float, default=1.0)
     sub = action(
         "recover",
         _recover,
         "recover the intact messages of a truncated, damaged or unfinished bag",
         "turtlebag bag recover data/record.partial --out data/record",
     )
-    add_output(sub)
+    sub.add_output()
     sub = action(
         "convert",
         _convert,
         "convert a bag to another format, or a CARMEN log to a bag",
         "turtlebag bag convert data/record --out record.bag",
     )
-    add_output(sub, "NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag", what="OUT")
+    sub.add_output("NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag", what="OUT")
     text = "storage format of the rosbag2 folder (default: mcap)"
     sub.add_argument("--storage", choices=("mcap", "sqlite3"), help=text)
-    option(sub, "--exclude", "TOPIC", "topic to leave out; may be repeated", **REPEATED)
+    sub.repeated("--exclude", "TOPIC", "topic to leave out; may be repeated")
 
 
 STATUS_ROWS = 3

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import add_output, option, output
+from turtlebag.pipeline.cli.arguments import output
 from turtlebag.pipeline.cli.other_systems import add_system_options, existing_files, systems_named
+from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.terminal.messages import print_table
 
 if TYPE_CHECKING:
@@ -19,16 +20,16 @@ if TYPE_CHECKING:
 EXAMPLE = "turtlebag compare data/maps/a cartographer=poses.tum cartographer=map.yaml --out data/comparison"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of `turtlebag compare`."""
-    option(parser, "a", "A", "output of record, map, localise, plan or navigate", Path)
+    parser.option("a", "A", "output of record, map, localise, plan or navigate", Path)
     text = (
         "another output of the same stage; or files of other systems: trajectories (TUM, KITTI, EuRoC csv) "
         "and maps (yaml), the two of one system under one NAME"
     )
-    option(parser, "b", "B|[NAME=]FILE", text, nargs="+")
+    parser.option("b", "B|[NAME=]FILE", text, nargs="+")
     add_system_options(parser)
-    add_output(parser, "also write a page with figures", required=False)
+    parser.add_output("also write a page with figures", required=False)
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.pipeline.cli.arguments import map_file
+from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag completion bash > turtlebag.bash && source turtlebag.bash"
 SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of the command."""
     parser.add_argument("shell", choices=SHELLS, metavar="|".join(SHELLS), help="shell to complete in")
 
@@ -55,7 +56,7 @@ def _built_in() -> dict[str, Sequence[str]]:
     }
 
 
-def _arguments(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+def _arguments(parser: Parser) -> Iterator[argparse.Action]:
     """Every option and argument of the verbs and of their actions."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

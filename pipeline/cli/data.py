@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.registry import DATASETS, MIRROR_VARIABLE, Dataset, fetch
-from turtlebag.pipeline.cli.arguments import add_action, option
+from turtlebag.pipeline.cli.parser import Parser, add_action
 
 EXAMPLE = "turtlebag data fetch intel"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The actions and their arguments."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     text = "list the logs with their contents, licences and citations"
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = f"fetch a log from the folder {MIRROR_VARIABLE} or the network, verify it and print its paths"
     fetching = add_action(actions, "fetch", text, EXAMPLE)
     text = "name of a log, as `turtlebag data list` shows it"
-    option(fetching, "names", "NAME", text, nargs="+")
+    fetching.option("names", "NAME", text, nargs="+")
     fetching.set_defaults(run=_fetch)
 
 

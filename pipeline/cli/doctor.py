@@ -8,16 +8,16 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 
-from turtlebag.pipeline.cli.arguments import flag
+from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.setup.missing_package import INSTALL
 
 EXAMPLE = "turtlebag doctor --trial"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The command's arguments."""
     text = "also record, map and drive for a few seconds (the first time compiles the numeric kernels)"
-    flag(parser, "--trial", text)
+    parser.flag("--trial", text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,34 +5,25 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import (
-    add_config,
-    add_laser,
-    add_map,
-    add_output,
-    add_seed,
-    initial_pose,
-    laser,
-    option,
-    output,
-)
+from turtlebag.pipeline.cli.arguments import initial_pose, laser, output
+from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = (
     "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of the verb."""
-    option(parser, "bag", "BAG", "record folder, bag or CARMEN log", Path)
-    add_map(parser, "localise")
+    parser.option("bag", "BAG", "record folder, bag or CARMEN log", Path)
+    parser.add_map("localise")
     text = "where on the map the robot starts; global: search the whole map"
-    option(parser, "--initial-pose", "X,Y,YAW|global", text)
-    add_laser(parser, "BAG")
-    option(parser, "--truth", "DIR", "truth folder to measure errors against", Path)
-    add_seed(parser, 1)
-    add_config(parser)
-    add_output(parser)
+    parser.option("--initial-pose", "X,Y,YAW|global", text)
+    parser.add_laser("BAG")
+    parser.option("--truth", "DIR", "truth folder to measure errors against", Path)
+    parser.add_seed(1)
+    parser.add_config()
+    parser.add_output()
 
 
 def run(args: argparse.Namespace) -> int:

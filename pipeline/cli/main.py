@@ -11,16 +11,15 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
 from functools import cache
-from itertools import takewhile
 from types import FrameType
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import signatures
 from turtlebag.datasets.output_lock import lock_output, release_all
-from turtlebag.pipeline.cli.arguments import add_action, named_inputs
+from turtlebag.pipeline.cli.arguments import named_inputs
+from turtlebag.pipeline.cli.parser import RENAMED, Parser, add_action
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
 
@@ -46,47 +45,7 @@ VERBS = {
     "completion": "print a script that completes commands in your shell",
 }
 
-RENAMED = {
-    "blame": "ablate",
-    "--takeover": "--teleop-override",
-    **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
-}
-"""Present names of verbs and options by their former ones, for the error that a former one is."""
-
 EXIT_OK, EXIT_INPUT = 0, 2
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and exit code 2; it takes no abbreviated options, whose
-    meaning would change with the next option that begins alike."""
-
-    def __init__(self, **more: Any) -> None:
-        super().__init__(allow_abbrev=False, **more)
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """As argparse's, except that the parser that a word is meant for reports what is unknown: first
-        options, which may be a required one misspelt, and it can suggest some."""
-        last = self._subparsers is None
-        for word in takewhile(lambda word: word != "--" and (last or word.startswith("-")), args):
-            if word.startswith("--") and word.partition("=")[0] not in self._option_string_actions:
-                self._report([word])
-        found, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            self._report(unknown)
-        return found, unknown
-
-    def _report(self, unknown: list[str]) -> NoReturn:
-        for old in [word.partition("=")[0] for word in unknown]:
-            if RENAMED.get(old) in self._option_string_actions:
-                self.error(f"{old} is now called {RENAMED[old]}")
-        near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
-
-    def error(self, message: str) -> NoReturn:
-        where = self.prog.removeprefix("turtlebag").strip()
-        said = " ".join(message.split())
-        raise InputError(f"{where}{': ' if where else ''}{said} (see {self.prog} --help)")
 
 
 class _Version(argparse.Action):
@@ -100,9 +59,9 @@ class _Version(argparse.Action):
 
 
 @cache
-def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
+def build_parser(*loaded: str | None) -> Parser:
     """The parser; only the named verbs get their arguments, because that imports them."""
-    parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
+    parser = Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, summary in VERBS.items():

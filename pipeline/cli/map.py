@@ -5,41 +5,33 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import (
-    REPEATED,
-    add_config,
-    add_laser,
-    add_output,
-    flag,
-    laser,
-    option,
-    output,
-)
+from turtlebag.pipeline.cli.arguments import laser, output
+from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/records/tour/truth"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of `map`."""
-    option(parser, "input", "INPUT", "record folder, bag or CARMEN log", Path)
-    add_output(parser)
+    parser.option("input", "INPUT", "record folder, bag or CARMEN log", Path)
+    parser.add_output()
     text = "truth folder of the recording: adds error metrics and decides on verdict and exit code"
-    option(parser, "--truth", "DIR", text, Path)
-    option(parser, "--relations", "FILE", "relations file of a benchmark: adds error metrics", Path)
+    parser.option("--truth", "DIR", text, Path)
+    parser.option("--relations", "FILE", "relations file of a benchmark: adds error metrics", Path)
     text = "another recording of the same place to add to the map; may be repeated"
-    option(parser, "--also", "INPUT", text, Path, **REPEATED)
+    parser.repeated("--also", "INPUT", text, Path)
     text = "extend an earlier map: INPUT is added to its graph, with the same settings"
-    option(parser, "--continue", "MAP_DIR", text, Path, dest="continued")
-    add_laser(parser, "INPUT")
+    parser.option("--continue", "MAP_DIR", text, Path, dest="continued")
+    parser.add_laser("INPUT")
     text = (
         "topic to map: LaserScan for 2D, PointCloud2 for 3D "
         "(default: /scan or the only LaserScan topic; if there is none, the point clouds)"
     )
-    option(parser, "--topic", "NAME", text)
-    option(parser, "--name", "NAME", "also save the map as NAME.pgm and NAME.yaml")
-    option(parser, "--edits", "FILE", "YAML file of loop closures to reject or to add", Path)
-    add_config(parser)
-    flag(parser, "--explain", "also write why each loop closure was accepted or rejected")
+    parser.option("--topic", "NAME", text)
+    parser.option("--name", "NAME", "also save the map as NAME.pgm and NAME.yaml")
+    parser.option("--edits", "FILE", "YAML file of loop closures to reject or to add", Path)
+    parser.add_config()
+    parser.flag("--explain", "also write why each loop closure was accepted or rejected")
 
 
 def run(args: argparse.Namespace) -> int:

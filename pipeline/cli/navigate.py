@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import Literal
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.cli.arguments import (
-    OrOwn,
-    add_config,
-    add_map,
-    add_output,
-    add_world,
-    flag,
-    initial_pose,
-    option,
-    output,
-    pose,
-    start_of,
-)
+from turtlebag.pipeline.cli.arguments import count, initial_pose, output, pose, positive, start_of
+from turtlebag.pipeline.cli.parser import OrOwn, Parser
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -48,32 +36,32 @@ ON_A_MAP = ("initial_pose", "wiggle", "keepout")
 """Those among them that a goal without --map cannot use."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The command's arguments."""
-    add_world(parser, 0)
+    parser.add_world(0)
     parser.add_argument(
         "--task", required=True, choices=OrOwn(TASKS), help="task to run, or your own class (module:Class)"
     )
-    add_map(parser, "navigate", required=False)
+    parser.add_map("navigate", required=False)
     text = "initial pose given to the robot: a pose, its true start, or global localisation"
-    option(parser, "--initial-pose", "X,Y,YAW|start|global", text)
-    option(parser, "--goal", "X,Y,YAW", "goal of --task goal, in metres and radians")
+    parser.option("--initial-pose", "X,Y,YAW|start|global", text)
+    parser.option("--goal", "X,Y,YAW", "goal of --task goal, in metres and radians")
     text = "YAML file with the patrol's waypoints (default: the tutorial's)"
-    option(parser, "--waypoints", "FILE", text, Path)
-    option(parser, "--laps", "N", "laps of the patrol (default: 1)", _count)
+    parser.option("--waypoints", "FILE", text, Path)
+    parser.option("--laps", "N", "laps of the patrol (default: 1)", count)
     text = "simulated seconds for each goal (default: 60 in a patrol, 600 for --task goal)"
-    option(parser, "--timeout", "S", text, _positive)
+    parser.option("--timeout", "S", text, positive)
     text = "simulated seconds: the length of avoid (default: 60), or the limit for explore (default: 1800)"
-    option(parser, "--duration", "S", text, _positive)
+    parser.option("--duration", "S", text, positive)
     text = "for --task avoid: guarded (default) uses the robot's shape; tutorial is the tutorial's rule"
     parser.add_argument("--mode", choices=("guarded", "tutorial"), help=text)
-    flag(parser, "--wiggle", "first turn back and forth until the particles converge")
+    parser.flag("--wiggle", "first turn back and forth until the particles converge")
     text = "override cmd_vel by keyboard, or by a YAML list of intervals with begin, end, v and w"
-    option(parser, "--teleop-override", "keyboard|FILE", text)
+    parser.option("--teleop-override", "keyboard|FILE", text)
     text = "YAML file with keep-out polygons under 'keepout' (default: the world's own)"
-    option(parser, "--keepout", "FILE|none", text)
-    add_config(parser)
-    add_output(parser)
+    parser.option("--keepout", "FILE|none", text)
+    parser.add_config()
+    parser.add_output()
 
 
 def run(args: argparse.Namespace) -> int:
@@ -144,17 +132,3 @@ def _keepout(text: str | None) -> tuple[Array, ...] | None:
     from turtlebag.planners.tasks.waypoints import load_keepout
 
     return load_keepout(Path(text))
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be 1 or more, not {text}")
-    return value

@@ -10,20 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import REPEATED, option, pose
+from turtlebag.pipeline.cli.arguments import pose
+from turtlebag.pipeline.cli.parser import Parser
 
 if TYPE_CHECKING:
     from turtlebag.datasets.other_systems import SystemFiles
 
 
-def add_system_options(parser: argparse.ArgumentParser) -> None:
+def add_system_options(parser: Parser) -> None:
     """--system-base, --system-times and --system-shift."""
     for name, value, text in (
         ("base", "X,Y,YAW", "pose on the robot of the sensor that the other system's trajectory follows"),
         ("times", "FILE", "times of the KITTI poses in seconds, one per line (default: those of the scans)"),
         ("shift", "SECONDS", "seconds to add to the stamps"),
     ):
-        option(parser, f"--system-{name}", f"[NAME=]{value}", text, **REPEATED)
+        parser.repeated(f"--system-{name}", f"[NAME=]{value}", text)
 
 
 def systems_named(words: Sequence[str], args: argparse.Namespace) -> list[SystemFiles]:

@@ -5,17 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from turtlebag.pipeline.cli.arguments import (
-    OrOwn,
-    add_config,
-    add_map,
-    add_output,
-    add_seed,
-    flag,
-    option,
-    output,
-    pose,
-)
+from turtlebag.pipeline.cli.arguments import output, pose
+from turtlebag.pipeline.cli.parser import OrOwn, Parser
 from turtlebag.planners.planner_names import PlannerName
 
 EXAMPLE = (
@@ -24,19 +15,19 @@ EXAMPLE = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The command's arguments."""
-    add_map(parser, "plan")
-    option(parser, "--robot", "R", "robot: a name or a YAML file (default: burger)", default="burger")
-    option(parser, "--start", "X,Y,YAW", "start pose, in metres and radians", required=True)
-    option(parser, "--goal", "X,Y,YAW", "goal pose", required=True)
+    parser.add_map("plan")
+    parser.option("--robot", "R", "robot: a name or a YAML file (default: burger)", default="burger")
+    parser.option("--start", "X,Y,YAW", "start pose, in metres and radians", required=True)
+    parser.option("--goal", "X,Y,YAW", "goal pose", required=True)
     names = get_args(PlannerName)
     text = f"OMPL planner: {', '.join(names)} (default: BITstar for a disc, else RRTConnect)"
-    option(parser, "--planner", "P", f"{text}, or your own class (module:Class)", choices=OrOwn(names))
-    flag(parser, "--compare", "run every planner and compare the paths")
-    add_seed(parser, 0)
-    add_config(parser)
-    add_output(parser)
+    parser.option("--planner", "P", f"{text}, or your own class (module:Class)", choices=OrOwn(names))
+    parser.flag("--compare", "run every planner and compare the paths")
+    parser.add_seed(0)
+    parser.add_config()
+    parser.add_output()
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,27 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import (
-    add_config,
-    add_output,
-    add_world,
-    named_inputs,
-    option,
-    output,
-    start_of,
-)
+from turtlebag.pipeline.cli.arguments import named_inputs, output, start_of
+from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of the command."""
-    add_world(parser, 1)
+    parser.add_world(1)
     text = "teleop script: a name, a YAML file, or a bag whose /cmd_vel is replayed (default: tour)"
-    option(parser, "--teleop", "SCRIPT", text, default="tour")
-    add_config(parser)
-    add_output(parser)
+    parser.option("--teleop", "SCRIPT", text, default="tour")
+    parser.add_config()
+    parser.add_output()
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:

@@ -6,22 +6,23 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import REPEATED, add_output, flag, option, output
+from turtlebag.pipeline.cli.arguments import output
 from turtlebag.pipeline.cli.other_systems import add_system_options, existing_files, systems_named
+from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of `turtlebag report`."""
-    option(parser, "folders", "DIR", "outputs of record, map, localise, plan and navigate", Path, nargs="+")
-    flag(parser, "--paper", "also save each figure as PDF and SVG")
-    flag(parser, "--index", "make a sortable table of all outputs below DIR instead")
-    flag(parser, "--no-animation", "leave out the animations, for a smaller page")
+    parser.option("folders", "DIR", "outputs of record, map, localise, plan and navigate", Path, nargs="+")
+    parser.flag("--paper", "also save each figure as PDF and SVG")
+    parser.flag("--index", "make a sortable table of all outputs below DIR instead")
+    parser.flag("--no-animation", "leave out the animations, for a smaller page")
     text = "file of another system to show next to ours (see compare); may be repeated"
-    option(parser, "--system", "[NAME=]FILE", text, **REPEATED)
+    parser.repeated("--system", "[NAME=]FILE", text)
     add_system_options(parser)
-    add_output(parser)
+    parser.add_output()
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, flag, option, output, seed
+from turtlebag.pipeline.cli.arguments import output, seed
+from turtlebag.pipeline.cli.parser import Parser
 
 if TYPE_CHECKING:
     from socket import socket
@@ -27,25 +28,25 @@ LIVE = (*SIMULATED, "bag", "port", "host")
 """Options that --replay does not take, because the session file has them."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The command's arguments."""
-    option(parser, "--world", "W", f"world: a name or a YAML or SDF file (default: {WORLD})")
-    option(parser, "--robot", "R", "robot: a name or a YAML file (default: the world's own)")
-    option(parser, "--seed", "N", f"random seed (default: {SEED})", seed)
-    add_map(parser, "start", required=False)
-    option(parser, "--bag", "BAG", "bag or log to play and map, in place of a simulation", Path)
-    option(parser, "--port", "P", "port of the page (default: a free one)", _port)
+    parser.option("--world", "W", f"world: a name or a YAML or SDF file (default: {WORLD})")
+    parser.option("--robot", "R", "robot: a name or a YAML file (default: the world's own)")
+    parser.option("--seed", "N", f"random seed (default: {SEED})", seed)
+    parser.add_map("start", required=False)
+    parser.option("--bag", "BAG", "bag or log to play and map, in place of a simulation", Path)
+    parser.option("--port", "P", "port of the page (default: a free one)", _port)
     text = (
         "address to listen on (default: this machine only); on any other, anyone who knows the page's "
         "address can drive"
     )
-    option(parser, "--host", "H", text)
-    flag(parser, "--no-browser", "only print the page's address, do not open it")
+    parser.option("--host", "H", text)
+    parser.flag("--no-browser", "only print the page's address, do not open it")
     text = "replay a session.yaml without a page; needs --out"
-    option(parser, "--replay", "FILE", text, Path)
-    add_config(parser)
+    parser.option("--replay", "FILE", text, Path)
+    parser.add_config()
     text = "folder for everything that is saved (default: data/studio/WORLD-ROBOT-SEED)"
-    add_output(parser, text, required=False)
+    parser.add_output(text, required=False)
 
 
 def run(args: argparse.Namespace) -> int:

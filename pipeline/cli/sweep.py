@@ -6,22 +6,23 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, option, output
+from turtlebag.pipeline.cli.arguments import count, output
+from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of `turtlebag sweep`."""
-    option(parser, "campaign", "FILE", "campaign file, or the name of a built-in study")
-    add_output(parser, required=False)
+    parser.option("campaign", "FILE", "campaign file, or the name of a built-in study")
+    parser.add_output(required=False)
     text = "storage for the workers' results: a folder or an fsspec URL, s3://BUCKET/... (default: --out)"
-    option(parser, "--store", "URL", text)
+    parser.option("--store", "URL", text)
     text = "address of a running Dask scheduler (tcp://...), or `threads` to run in this process"
-    option(parser, "--scheduler", "ADDRESS", text)
-    option(parser, "--workers", "N", "local processes (default: one per core)", int)
+    parser.option("--scheduler", "ADDRESS", text)
+    parser.option("--workers", "N", "local processes (default: one per core)", count)
     text = "run an SQL query on the table `runs` of a finished campaign; FILE is then its folder or its store"
-    option(parser, "--query", "SQL", text)
+    parser.option("--query", "SQL", text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,8 +34,6 @@ def run(args: argparse.Namespace) -> int:
         return _answer(args.campaign, args.query)
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")
-    if args.workers is not None and args.workers < 1:
-        raise InputError(f"--workers {args.workers}: at least one is needed")
     from turtlebag.pipeline.campaign.sweep import sweep
     from turtlebag.pipeline.cli.main import main, parsed
 

@@ -5,29 +5,22 @@ from __future__ import annotations
 import argparse
 import sys
 
-from turtlebag.pipeline.cli.arguments import (
-    add_config,
-    add_output,
-    add_world,
-    flag,
-    option,
-    output,
-    start_of,
-)
+from turtlebag.pipeline.cli.arguments import output, start_of
+from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of the command."""
-    add_world(parser, 1)
-    flag(parser, "--view", "draw the scan and the map as it grows")
+    parser.add_world(1)
+    parser.flag("--view", "draw the scan and the map as it grows")
     text = "keys: W A S D (default); turtlebot3: the keys of turtlebot3_teleop"
     parser.add_argument("--style", choices=("keys", "turtlebot3"), default="keys", help=text)
-    option(parser, "--speed", "X", "speed relative to real time (default: 1)", float, default=1.0)
-    add_config(parser)
-    add_output(parser)
+    parser.option("--speed", "X", "speed relative to real time (default: 1)", float, default=1.0)
+    parser.add_config()
+    parser.add_output()
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,16 +8,16 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import flag, option
+from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag verify data/report"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of `turtlebag verify`."""
-    option(parser, "report", "REPORT", "folder that report wrote", Path)
-    option(parser, "--only", "KEY", "check one number, named as on the page: WORLD/STAGE:PATH")
-    flag(parser, "--quick", "skip the numbers that need map, localise or plan to run again")
+    parser.option("report", "REPORT", "folder that report wrote", Path)
+    parser.option("--only", "KEY", "check one number, named as on the page: WORLD/STAGE:PATH")
+    parser.flag("--quick", "skip the numbers that need map, localise or plan to run again")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_action, add_output, option
+from turtlebag.pipeline.cli.parser import Parser, add_action
 
 EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     text = "list the built-in worlds, robots and teleop scripts"
     add_action(actions, "list", text, "turtlebag world list").set_defaults(run=_list)
     show = add_action(actions, "show", "draw a world as a PNG", EXAMPLE)
-    option(show, "world", "W", "world: a name or a YAML or SDF file")
-    option(show, "--robot", "R", "robot whose lidar height is drawn (default: the world's own)")
-    add_output(show, "picture to write", what="PNG")
+    show.option("world", "W", "world: a name or a YAML or SDF file")
+    show.option("--robot", "R", "robot whose lidar height is drawn (default: the world's own)")
+    show.add_output("picture to write", what="PNG")
     show.set_defaults(run=_show)
 
 
