@@ -12,7 +12,7 @@ import pytest
 
 import turtlebag as tb
 from tests.helpers.report_fakes import unrendered
-from turtlebag.api.making import laser_text
+from turtlebag.api import given
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.se2 import SE2
@@ -261,9 +261,9 @@ def test_an_override_is_a_file_whatever_it_is_called():
 
 
 def test_a_laser_is_told_as_the_command_line_reads_it():
-    for given in (False, True):
-        placed, upside_down = laser(laser_text((-0.1, 0.0, 0.3), given))
-        assert (placed.xyt.tolist(), upside_down) == (SE2.from_xyt(-0.1, 0.0, 0.3).xyt.tolist(), given)
+    for over in (False, True):
+        placed, upside_down = laser(given.laser((-0.1, 0.0, 0.3), over))
+        assert (placed.xyt.tolist(), upside_down) == (SE2.from_xyt(-0.1, 0.0, 0.3).xyt.tolist(), over)
 
 
 def test_numbers_and_poses_may_be_numpys():

@@ -5,18 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from turtlebag.api.checks import checked_imu, checked_odometry, checked_scan, require_kind
-from turtlebag.api.making import (
-    PathLike,
-    Pose,
-    in_python,
-    initial_pose_of,
-    path_if,
-    pose_of,
-    require_seed,
-    setting_words,
-    text_of,
-)
+from turtlebag.api import given
+from turtlebag.api.given import PathLike, Pose
+from turtlebag.api.making import in_python
 from turtlebag.api.outputs import as_map
 from turtlebag.api.tables import Trajectory
 from turtlebag.datasets import types
@@ -38,24 +29,25 @@ class _Listener:
     """The laser's pose on the robot, and checks of what is passed in."""
 
     def __init__(self, robot: PathLike, laser: Pose | None) -> None:
-        self.T_base_lidar = (
-            load_robot(text_of(robot, "robot")).T_base_lidar if laser is None else pose_of(laser, "laser")
-        )
+        if laser is not None:
+            self.T_base_lidar = given.pose(laser, "laser")
+        else:
+            self.T_base_lidar = load_robot(given.text(robot, "robot")).T_base_lidar
         self.scan: Scan | None = None
         self.odometry: SE2 | types.Trajectory | None = None
         self.observed_ns: int | None = None
 
     def heard(self, scan: Scan, odometry: Any) -> tuple[Scan, SE2 | types.Trajectory | None]:
         """A scan and its odometry, checked against the earlier ones; InputError names the problem."""
-        checked = checked_scan(scan, self.scan)
+        checked = given.scan(scan, self.scan)
         first = self.scan is None
-        moved = checked_odometry(odometry, self.odometry, first)
+        moved = given.odometry(odometry, self.odometry, first)
         self.scan, self.odometry = checked, moved
         return checked, moved
 
     def observed(self, observation: Observation) -> None:
         """InputError unless it is an observation, later than the last one."""
-        require_kind(observation, Observation, "observation")
+        given.require_kind(observation, Observation, "observation")
         if self.observed_ns is not None and observation.stamp_ns <= self.observed_ns:
             raise InputError(f"observation: stamp {observation.stamp_ns} is not after the previous one")
         self.observed_ns = observation.stamp_ns
@@ -83,7 +75,7 @@ class Mapper:
         with in_python():
             self._heard = _Listener(robot, laser)
             slam = load_config(
-                SlamConfig, path_if(config, "config"), setting_words(settings, front_end=front_end)
+                SlamConfig, given.path_if(config, "config"), given.settings(settings, front_end=front_end)
             )
             self._online = OnlineMap(self._heard.T_base_lidar, slam)
 
@@ -108,7 +100,7 @@ class Mapper:
         samples since the last scan. InputError for stamps that do not increase, arrays of another shape,
         non-finite numbers and changing kinds; the scan is then not used.
         """
-        samples = checked_imu(imu)
+        samples = given.imu(imu)
         with in_python():
             self._online.add(*self._heard.heard(scan, odometry), samples)
         return self.pose
@@ -171,14 +163,14 @@ class Localiser:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or setting, or an unreadable map."""
-        told = initial_pose_of(initial_pose, "global")
+        told = given.initial_pose(initial_pose, "global")
         if told is None:
             raise InputError("initial_pose: give x, y, yaw or global")
         with in_python():
             self._heard = _Listener(robot, laser)
-            self._config = load_localise_config(path_if(config, "config"), setting_words(settings))
+            self._config = load_localise_config(given.path_if(config, "config"), given.settings(settings))
             self._grid = map if isinstance(map, OccupancyGrid) else as_map(map).occupancy
-        self._told, self._rng = told, stream(require_seed(seed), "amcl")
+        self._told, self._rng = told, stream(given.seed(seed), "amcl")
         self._buffer = OdometryBuffer()
         self._localiser: AnyLocaliser | None = None
         self._T_odom_base = SE2.identity()
@@ -198,8 +190,8 @@ class Localiser:
         `odometry` is the pose of the base in the odometry's frame at that stamp, `odometry_end` at the end of
         the sweep, for deskewing. InputError as for `Mapper.add`.
         """
-        start = pose_of(odometry, "odometry")
-        end = None if odometry_end is None else pose_of(odometry_end, "odometry_end")
+        start = given.pose(odometry, "odometry")
+        end = None if odometry_end is None else given.pose(odometry_end, "odometry_end")
         heard, _ = self._heard.heard(scan, start)
         return self._update(heard, start, end)
 

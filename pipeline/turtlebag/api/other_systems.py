@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from turtlebag.api.making import PathLike, Pose, in_a_line, path_if, path_of, pose_of, pose_text
+from turtlebag.api import given
+from turtlebag.api.given import PathLike, Pose
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import require_name
 from turtlebag.datasets.parts import told_kind
@@ -44,21 +45,19 @@ def system_options(systems: Systems | None) -> tuple[list[str], dict[str, list[s
     words: list[str] = []
     known: dict[str, list[str]] = {"system_base": [], "system_times": [], "system_shift": []}
     read: dict[str, Path] = {}
-    for name, given in (systems or {}).items():
+    for name, entry in (systems or {}).items():
         require_name(str(name))
         what = f"systems {name}"
-        one = given if isinstance(given, System) else System(path_of(given, what))
-        files = {
-            kind: path_if(getattr(one, kind), f"{what} {kind}") for kind in ("trajectory", "map", "times")
-        }
-        found = {kind: path for kind, path in files.items() if path is not None}
+        one = entry if isinstance(entry, System) else System(given.path(entry, what))
+        files = {kind: getattr(one, kind) for kind in ("trajectory", "map", "times")}
+        found = {k: given.path(file, f"{what} {k}") for k, file in files.items() if file is not None}
         if not found.keys() & {"trajectory", "map"}:
             raise InputError(f"{name} has no trajectory")
         read |= {f"{what} {kind}": path for kind, path in found.items()}
         known["system_times"] += [f"{name}={found.pop('times')}"] if "times" in found else []
         words += [f"{name}={path}" for path in found.values()]
         if one.base is not None:
-            known["system_base"].append(f"{name}={pose_text(pose_of(one.base, f'{what} base'))}")
+            known["system_base"].append(f"{name}={given.pose_text(given.pose(one.base, f'{what} base'))}")
         if shift := _seconds(one.shift, f"{what} shift"):
             known["system_shift"].append(f"{name}={shift!r}")
     return words, known, read
@@ -66,5 +65,5 @@ def system_options(systems: Systems | None) -> tuple[list[str], dict[str, list[s
 
 def _seconds(value: Any, what: str) -> float:
     if not isinstance(value, int | float | np.number) or not math.isfinite(value):
-        raise InputError(f"{what}: expected a number of seconds, not {in_a_line(value)}")
+        raise InputError(f"{what}: expected a number of seconds, not {given.in_a_line(value)}")
     return float(value)

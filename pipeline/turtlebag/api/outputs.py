@@ -13,7 +13,9 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.api.making import PathLike, Step, TemporaryFolder, path_of, text_of
+from turtlebag.api import given
+from turtlebag.api.given import PathLike
+from turtlebag.api.making import Step, TemporaryFolder
 from turtlebag.api.tables import Table, Trajectory
 from turtlebag.datasets import types
 from turtlebag.datasets.bags.reader import bag_info
@@ -37,7 +39,7 @@ class Output:
     _kept: tuple[object, ...] = ()
 
     def __init__(self, path: PathLike) -> None:
-        self.path = path_of(path, "path")
+        self.path = given.path(path, "path")
         """Its folder or file."""
         self.stage: Stage | None = self._load()
         """Its manifest, configuration and files; None unless it is an output of ours."""
@@ -264,9 +266,9 @@ class Map(Output):
 
 def robot_for(map: Map, robot: PathLike | None) -> str:
     """The robot to plan for: the one that made the map, and the burger where that is not known."""
-    return text_of(map.robot or "burger" if robot is None else robot, "robot")
+    return given.text(map.robot or "burger" if robot is None else robot, "robot")
 
 
 def as_map(map: PathLike) -> Map:
     """A map from whatever was passed as one."""
-    return map if isinstance(map, Map) else Map(path_of(map, "map"))
+    return map if isinstance(map, Map) else Map(given.path(map, "map"))

@@ -5,16 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from turtlebag.api.making import (
-    PathLike,
-    Pose,
-    in_python,
-    path_if,
-    planner_name,
-    pose_of,
-    require_seed,
-    setting_words,
-)
+from turtlebag.api import given
+from turtlebag.api.given import PathLike, Pose
+from turtlebag.api.making import in_python
 from turtlebag.api.outputs import as_map, robot_for
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.stages.plan import PlanStageConfig, Query, planner_settings, search
@@ -42,11 +35,11 @@ class Planner:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or planner, or an unreadable map."""
-        by = planner_name(planner)
+        by = given.planner(planner)
         with in_python():
-            words = [*setting_words(settings), *planner_settings(by)]
-            self._config = load_config(PlanStageConfig, path_if(config, "config"), words)
-            self._map, self._seed = as_map(map), require_seed(seed)
+            words = [*given.settings(settings), *planner_settings(by)]
+            self._config = load_config(PlanStageConfig, given.path_if(config, "config"), words)
+            self._map, self._seed = as_map(map), given.seed(seed)
             self._robot = load_robot(robot_for(self._map, robot))
             self._costmap = costmap_from_grid(self._map.occupancy, self._config.costmap)
 
@@ -56,7 +49,7 @@ class Planner:
         NoPath gives the reason if there is none; InputError if start or goal is off the map or in an
         obstacle.
         """
-        query = Query(self._robot, pose_of(start, "start"), pose_of(goal, "goal"), self._seed)
+        query = Query(self._robot, given.pose(start, "start"), given.pose(goal, "goal"), self._seed)
         with in_python():
             query.require_free(self._costmap, self._map.yaml)
             found, reason, _ = search(self._costmap, query, self._config)

@@ -5,17 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from turtlebag.api.making import (
-    PathLike,
-    Pose,
-    in_python,
-    part_name,
-    path_if,
-    pose_of,
-    require_seed,
-    setting_words,
-    text_of,
-)
+from turtlebag.api import given
+from turtlebag.api.given import PathLike, Pose
+from turtlebag.api.making import in_python
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Observation, Twist
@@ -46,13 +38,12 @@ class Simulator:
     ) -> None:
         """`start` is the true pose in the world (default: its spawn). InputError for unknown names."""
         with in_python():
-            sim = load_config(RecordOptions, path_if(config, "config"), setting_words(settings)).sim
-            T_start = None if start is None else pose_of(start, "start")
-            by = None if robot is None else text_of(robot, "robot")
-            self._scene = Scene.load(text_of(part_name(world), "world"), by, require_seed(seed), sim, T_start)
-            self._simulator = simulator.Simulator(
-                self._scene.world, self._scene.robot, self._scene.sim, self._scene.seed
-            )
+            sim = load_config(RecordOptions, given.path_if(config, "config"), given.settings(settings)).sim
+            T_start = None if start is None else given.pose(start, "start")
+            by = None if robot is None else given.text(robot, "robot")
+            name = given.text(given.part(world), "world")
+            self._scene = scene = Scene.load(name, by, given.seed(seed), sim, T_start)
+            self._simulator = simulator.Simulator(scene.world, scene.robot, scene.sim, scene.seed)
             self.reset()
 
     def __enter__(self) -> Simulator:
@@ -96,12 +87,12 @@ class Simulator:
 
     def reseed(self, seed: int) -> None:
         """Use another seed from the next reset on."""
-        self._simulator.seed = require_seed(seed)
+        self._simulator.seed = given.seed(seed)
 
     def reset(self, start: Pose | None = None) -> Observation:
         """Start again, at another true pose if given; InputError if it is in an obstacle."""
         with in_python():
-            T_start = self._scene.start if start is None else pose_of(start, "start")
+            T_start = self._scene.start if start is None else given.pose(start, "start")
             self._observation = self._simulator.reset(T_start)
         return self._observation
 

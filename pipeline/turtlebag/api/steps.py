@@ -10,22 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from turtlebag.api.making import (
-    PathLike,
-    Pose,
-    TemporaryFolder,
-    initial_pose_of,
-    laser_text,
-    list_of,
-    part_name,
-    path_of,
-    planner_name,
-    pose_of,
-    require_seed,
-    setting_words,
-    step,
-    text_of,
-)
+from turtlebag.api import given
+from turtlebag.api.given import PathLike, Pose
+from turtlebag.api.making import TemporaryFolder, step
 from turtlebag.api.other_systems import Systems, system_options
 from turtlebag.api.outputs import Bag, Map, as_map, robot_for
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
@@ -55,16 +42,16 @@ def record(
     stuck, the recording is kept, and its `notes` say so. InputError for unknown names and a start in an
     obstacle.
     """
-    given = {
-        "world": text_of(part_name(world), "world"),
-        "robot": None if robot is None else text_of(robot, "robot"),
-        "teleop": text_of(teleop, "teleop"),
-        "seed": require_seed(seed),
-        "start": None if start is None else pose_of(start, "start"),
+    told = {
+        "world": given.text(given.part(world), "world"),
+        "robot": None if robot is None else given.text(robot, "robot"),
+        "teleop": given.text(teleop, "teleop"),
+        "seed": given.seed(seed),
+        "start": None if start is None else given.pose(start, "start"),
     }
-    words = setting_words(settings)
+    words = given.settings(settings)
     with step("record", out, force=force, inputs={"teleop": teleop, "config": config}) as now:
-        now.run(**given, config=config, set=words)
+        now.run(**told, config=config, set=words)
         return Bag.of(now)
 
 
@@ -93,15 +80,15 @@ def map(
     same place, `continued` an earlier map that the recording is added to. `laser` and `upside_down` override
     the laser's pose on the robot. InputError for what cannot be mapped.
     """
-    words, placed = setting_words(settings, front_end=front_end), laser_text(laser, upside_down)
-    heard = None if topic is None else text_of(topic, "topic", "a name")
-    later = {f"also {number}": one for number, one in enumerate(list_of(also, "also"), start=1)}
+    words, placed = given.settings(settings, front_end=front_end), given.laser(laser, upside_down)
+    heard = None if topic is None else given.text(topic, "topic", "a name")
+    later = {f"also {number}": one for number, one in enumerate(given.items(also, "also"), start=1)}
     files = {"truth": truth, "relations": relations, "config": config, "edits": edits}
-    given: dict[str, Any] = {**files, "also": [*later.values()], "continue": continued}
-    given |= {"topic": heard, "set": words, "explain": explain, "laser": placed}
+    told: dict[str, Any] = {**files, "also": [*later.values()], "continue": continued}
+    told |= {"topic": heard, "set": words, "explain": explain, "laser": placed}
     inputs = {"source": source, **files, **later, "continued": continued}
     with step("map", out, force=force, inputs=inputs) as now:
-        now.run(path_of(source, "source"), **given)
+        now.run(given.path(source, "source"), **told)
         return Map.of(now)
 
 
@@ -125,17 +112,17 @@ def localise(
     is rejected. `truth` is a recording; it only adds error metrics. InputError for a recording without
     odometry or a map without walls.
     """
-    given = {
+    told = {
         "map": as_map(map).yaml,
-        "initial_pose": initial_pose_of(initial_pose, "global"),
-        "laser": laser_text(laser, upside_down),
+        "initial_pose": given.initial_pose(initial_pose, "global"),
+        "laser": given.laser(laser, upside_down),
         "truth": truth,
-        "seed": require_seed(seed),
+        "seed": given.seed(seed),
     }
-    words = setting_words(settings)
+    words = given.settings(settings)
     inputs = {"source": source, "map": map, "truth": truth, "config": config}
     with step("localise", out, force=force, inputs=inputs) as now:
-        now.run(path_of(source, "source"), **given, config=config, set=words)
+        now.run(given.path(source, "source"), **told, config=config, set=words)
         return Localisation.of(now)
 
 
@@ -160,18 +147,18 @@ def plan(
     reason. InputError for a start or goal off the map or in an obstacle.
     """
     on = as_map(map)
-    given = {
+    told = {
         "map": on.yaml,
         "robot": robot_for(on, robot),
-        "start": pose_of(start, "start"),
-        "goal": pose_of(goal, "goal"),
-        "planner": planner_name(planner),
+        "start": given.pose(start, "start"),
+        "goal": given.pose(goal, "goal"),
+        "planner": given.planner(planner),
         "compare": compare,
-        "seed": require_seed(seed),
+        "seed": given.seed(seed),
     }
-    words = setting_words(settings)
+    words = given.settings(settings)
     with step("plan", out, force=force, inputs={"map": map, "config": config}) as now:
-        now.run(**given, config=config, set=words)
+        now.run(**told, config=config, set=words)
         return Plan.of(now)
 
 
@@ -197,7 +184,7 @@ def report(
     shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
     words, known, files = system_options(systems)
     with step("report", out, force=force, inputs={**shown, **files}) as now:
-        paths = [path_of(one, what) for what, one in shown.items()]
+        paths = [given.path(one, what) for what, one in shown.items()]
         make(now.arguments(*paths, system=words, **known, no_animation=not animate, paper=paper))
         return Report.of(now)
 
@@ -220,8 +207,8 @@ def compare(
     words, known, files = system_options(systems)
     if (other is None) == (not files):
         raise InputError("compare: give another output, or other systems by their names")
-    path, given = path_of(output, "output"), {"output": output, "other": other, **files}
-    with step("compare", out, force=force, inputs=given) as now:
+    path, read = given.path(output, "output"), {"output": output, "other": other, **files}
+    with step("compare", out, force=force, inputs=read) as now:
         found = make(now.arguments(path, *(words if other is None else [other]), **known))
         if isinstance(found, SystemComparison):
             now.notes += [f"{name}: {note}" for name, note in found.notes]
@@ -255,7 +242,7 @@ def navigate(
     the world's). A failed task is a result, too: see `success` and `goals`. InputError for a bad goal, map
     or name.
     """
-    words, name = setting_words(settings), part_name(task)
+    words, name = given.settings(settings), given.part(task)
     inputs = {"map": map, "teleop_override": teleop_override, "config": config}
     with step("navigate", out, force=force, inputs=inputs) as now:
         on, files = None if map is None else as_map(map), TemporaryFolder()
@@ -265,18 +252,18 @@ def navigate(
             raise InputError("map: a patrol needs one; give the map to drive on")
         if isinstance(task, Avoid | Explore) and (on is not None or wiggle or keepout is not None):
             raise InputError(f"{told['task']}: takes no map, wiggle or keepout; leave them out")
-        scene = part_name(world) if world is not None or on is None else on.world
+        scene = given.part(world) if world is not None or on is None else on.world
         if scene is None:
             raise InputError("world: give the world to drive in; the map does not say where it was made")
         by = robot if robot is not None or on is None else on.robot
         now.run(
-            world=text_of(scene, "world"),
-            robot=None if by is None else text_of(by, "robot"),
+            world=given.text(scene, "world"),
+            robot=None if by is None else given.text(by, "robot"),
             task=told.pop("task"),
             map=None if on is None else on.yaml,
-            start=None if start is None else pose_of(start, "start"),
-            initial_pose=None if on is None else initial_pose_of(initial_pose, "start", "global"),
-            seed=require_seed(seed),
+            start=None if start is None else given.pose(start, "start"),
+            initial_pose=None if on is None else given.initial_pose(initial_pose, "start", "global"),
+            seed=given.seed(seed),
             **told,
             wiggle=wiggle,
             # the command line's word for the keys of the terminal is a file's name here, as any other

@@ -12,7 +12,8 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 
-from turtlebag.api.making import PathLike, in_a_line, list_of, path_of, pose_of, text_of
+from turtlebag.api import given
+from turtlebag.api.given import PathLike
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.se2 import SE2
@@ -30,7 +31,7 @@ class Goal:
     """Simulated seconds; None: 600."""
 
     def _options(self, folder: Path) -> dict[str, Any]:
-        goal = pose_of((self.x, self.y, self.yaw), "goal")
+        goal = given.pose((self.x, self.y, self.yaw), "goal")
         return {"task": "goal", "goal": goal, "timeout": _seconds(self.timeout, "timeout")}
 
 
@@ -51,9 +52,9 @@ class Patrol:
             raise InputError(f"laps: expected a whole number, 1 or more, not {self.laps!r}")
         waypoints, timeout = self.waypoints, _seconds(self.timeout, "timeout")
         if isinstance(waypoints, str | os.PathLike):
-            waypoints = path_of(waypoints, "waypoints")
+            waypoints = given.path(waypoints, "waypoints")
         elif waypoints is not None:
-            poses = [_numbers(one, "waypoints") for one in list_of(waypoints, "waypoints")]
+            poses = [_numbers(one, "waypoints") for one in given.items(waypoints, "waypoints")]
             if not poses:
                 raise InputError("waypoints: is empty; give one or more poses")
             waypoints = _written(poses, folder / "waypoints.yaml")
@@ -91,17 +92,16 @@ def task_options(task: Task | str, folder: Path) -> dict[str, Any]:
         return task._options(folder)
     if isinstance(task, str) and is_own(task):
         return {"task": task}
-    raise InputError(
-        f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {in_a_line(task)}"
-    )
+    shown = given.in_a_line(task)
+    raise InputError(f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {shown}")
 
 
-def keepout_option(given: PathLike | Sequence[Any] | None, folder: Path) -> str | None:
+def keepout_option(areas: PathLike | Sequence[Any] | None, folder: Path) -> str | None:
     """The file of keep-out areas, or the word none."""
-    if given is None or isinstance(given, str | os.PathLike):
-        return None if given is None else text_of(given, "keepout", "a path")
-    areas = [list_of(outline, "keepout") for outline in list_of(given, "keepout")]
-    outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in areas]
+    if areas is None or isinstance(areas, str | os.PathLike):
+        return None if areas is None else given.text(areas, "keepout", "a path")
+    listed = [given.items(outline, "keepout") for outline in given.items(areas, "keepout")]
+    outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in listed]
     parse_polygons(outlines, "keepout")
     return os.fspath(_written({"keepout": outlines}, folder / "keepout.yaml")) if outlines else "none"
 
@@ -121,7 +121,7 @@ def _numbers(one: Any, what: str) -> Any:
     try:
         return one if isinstance(one, dict) else np.asarray(one, dtype=np.float64).tolist()
     except (TypeError, ValueError):
-        raise InputError(f"{what}: expected numbers, not {in_a_line(one)}") from None
+        raise InputError(f"{what}: expected numbers, not {given.in_a_line(one)}") from None
 
 
 def _written(content: Any, path: Path) -> Path:
