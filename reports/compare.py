@@ -155,19 +155,15 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
         label = "position error [cm]"
         album.add("errors", "Position error", caption, systems.errors, both_errors, "AB", label)
     elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
-        _draw_apart(path_a, path_b, album)
+        pairs = associate(path_b, path_a)
+        caption = f"Distance between the estimates of A and B at the same instant. {series.AXIS_TOLD}"
+        apart = {"A to B": (pairs.stamps_ns, pairs.position_errors())}
+        album.add("apart", "Difference", caption, systems.errors, apart, [*apart], "A to B [cm]")
 
 
 def same_input(a: Stage, b: Stage) -> bool:
     """Whether both were made from the same source files."""
     return bool(a.hashes("source")) and a.hashes("source") == b.hashes("source")
-
-
-def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
-    pairs = associate(path_b, path_a)
-    caption = f"Distance between the estimates of A and B at the same instant. {series.AXIS_TOLD}"
-    apart = {"A to B": (pairs.stamps_ns, pairs.position_errors())}
-    album.add("apart", "Difference", caption, systems.errors, apart, [*apart], "A to B [cm]")
 
 
 def driven(stage: Stage) -> Trajectory | None:

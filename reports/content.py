@@ -14,15 +14,7 @@ from turtlebag.reports.interactive_map import InteractiveMap, interactive_map
 from turtlebag.reports.metric_specs import GOAL_NUMBERS, PICTURE_SOURCES, Section
 from turtlebag.reports.metrics.navigation import goal_counts, outcome, truly_reached
 from turtlebag.reports.metrics.recording import recording_metrics
-from turtlebag.reports.numbers import (
-    DASH,
-    Number,
-    files_of,
-    lookup,
-    other_values,
-    sections_of,
-    shown,
-)
+from turtlebag.reports.numbers import DASH, Number, files_of, lookup, other_values, sections_of, shown
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage
 from turtlebag.reports.system_comparison import SystemComparison
@@ -109,13 +101,15 @@ def build_chapter(
 ) -> Chapter:
     """Draw and describe every stage of a group; `measured` by label takes the place of its metrics."""
     chapter = Chapter(group.name, interactive_map_of(group))
+    known: dict[Stage | None, float | None] = {}  # what the wheels alone came to in each recording
     for stage in group.stages:
         metrics = stage_metrics(stage) if measured is None else measured[stage.label]
+        known[stage] = lookup(metrics, "odometry_ate_m.rmse")
         chapter.parts.append(
             Part(
                 stage,
                 _about(stage, group),
-                verdict(stage, metrics, odometry_error(chapter, group.record_of(stage))),
+                verdict(stage, metrics, known.get(group.record_of(stage))),
                 metrics,
                 sections_of(stage, metrics, group.name),
                 other_values(stage, metrics),
@@ -172,22 +166,13 @@ def stage_metrics(stage: Stage) -> Mapping[str, Any]:
     return {**stage.metrics, **goal_counts(goals)} if goals else stage.metrics
 
 
-def odometry_error(chapter: Chapter, record: Stage | None) -> float | None:
-    """RMSE [m] of the wheels alone in a recording of the chapter, where it is known."""
-    told = (lookup(part.metrics, "odometry_ate_m.rmse") for part in chapter.parts if part.stage is record)
-    return next(told, None)
-
-
 def verdict(stage: Stage, metrics: Mapping[str, Any], odometry_m: float | None = None) -> tuple[str, str]:
     """(good, bad or neutral; one sentence); `odometry_m` is the error that a map had to put right."""
-    if stage.kind == "navigate":
-        return _run_verdict(metrics)
     if stage.kind == "map":
         return _map_verdict(metrics, odometry_m)
-    if stage.kind == "localise":
-        return _localise_verdict(metrics)
-    if stage.kind == "plan":
-        return _plan_verdict(metrics)
+    others = {"navigate": _run_verdict, "localise": _localise_verdict, "plan": _plan_verdict}
+    if stage.kind in others:
+        return others[stage.kind](metrics)
     drift = lookup(metrics, "odometry_ate_m.max")
     length, duration = metrics.get("distance_m"), metrics.get("duration_s")
     sentence = f"{metrics.get('scans', 'No')} scans over {shown(duration, 's')} and {shown(length, 'm')}"
@@ -285,10 +270,7 @@ def overall_mood(moods: Iterable[str]) -> str:
 
 def collision_count(metrics: Mapping[str, Any]) -> int:
     """All contact episodes of a run."""
-    collisions = metrics.get("collisions", 0)
-    if isinstance(collisions, Mapping):
-        return int(collisions.get("visible", 0)) + int(collisions.get("low", 0))
-    return int(collisions or 0)
+    return sum((metrics.get("collisions") or {}).values())
 
 
 def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:

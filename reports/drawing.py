@@ -146,7 +146,8 @@ def draw_run(stage: Stage, group: Group, album: Album) -> None:
     log = stage.runlog
     if log is None or len(log) == 0:
         return
-    world = _background(stage, group)
+    given = group.given_map(stage) if stage.localised else None
+    world = given if given is not None else stage.true_map
     truth = Trajectory(log.t_ns, log.T_world_base)
     goals = stage.metrics.get("goals") or []
     contact = log.contact_visible | log.contact_low
@@ -224,12 +225,6 @@ def _add_run_animation(
     )
     caption += " A goal is blue while pursued, green once reached, orange if missed." if goals else ""
     album.add_animation("animation", "Animation of the run", caption, draw)
-
-
-def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
-    """The map a run that localised was given, else the true world."""
-    grid = group.given_map(stage) if stage.localised else None
-    return grid if grid is not None else stage.true_map
 
 
 def _add_particles(stage: Stage, world: OccupancyGrid | None, truth: Trajectory, album: Album) -> None:

@@ -49,12 +49,6 @@ def read_loops(path: Path) -> LoopRecord:
     return LoopRecord(i, j, table[:, 2], table[:, 3] > 0.5)
 
 
-def _seen_from_above(pose: list[float]) -> list[float]:
-    """x, y and yaw of x, y, z and a quaternion x, y, z, w."""
-    x, y, _, qx, qy, qz, qw = pose
-    return [x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))]
-
-
 def read_g2o(path: Path) -> PoseGraph:
     """Read vertices and count edges, SE2 or SE3:QUAT; InputError names a line that is not readable."""
     poses: dict[int, list[float]] = {}
@@ -66,7 +60,9 @@ def read_g2o(path: Path) -> PoseGraph:
                 x, y, yaw = (float(field) for field in fields[1:4])
                 poses[int(fields[0])] = [x, y, yaw]
             elif tag == "VERTEX_SE3:QUAT":
-                poses[int(fields[0])] = _seen_from_above([float(field) for field in fields[1:8]])
+                x, y, _, qx, qy, qz, qw = (float(field) for field in fields[1:8])
+                yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+                poses[int(fields[0])] = [x, y, yaw]
             elif tag in ("EDGE_SE2", "EDGE_SE3:QUAT"):
                 joined += [int(fields[0]), int(fields[1])]
         except (ValueError, IndexError):

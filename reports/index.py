@@ -71,11 +71,10 @@ def index_lines(outputs: Mapping[Path, str]) -> list[Line]:
         for path, digest in stage.manifest.outputs.items()
         if path.startswith("bag/bag_")
     }
-    return [_line(stage, name, _recording_of(stage, records)) for name, stage in stages.items()]
-
-
-def _recording_of(stage: Stage, records: Mapping[str, Stage]) -> Stage | None:
-    return next((records[digest] for digest in stage.linking_hashes() if digest in records), None)
+    return [
+        _line(stage, name, next((records[one] for one in stage.linking_hashes() if one in records), stage))
+        for name, stage in stages.items()
+    ]
 
 
 def used_columns(lines: Sequence[Line]) -> list[tuple[int, str, str]]:
@@ -92,9 +91,8 @@ def _name(folder: Path, root: Path) -> str:
     return root.resolve().name if relative == "." else f"{root.resolve().name}/{relative}"
 
 
-def _line(stage: Stage, name: str, recording: Stage | None) -> Line:
+def _line(stage: Stage, name: str, source: Stage) -> Line:
     metrics = stage_metrics(stage)
-    source = recording if recording is not None else stage
     seed = stage.manifest.seed if stage.manifest.seed is not None else source.manifest.seed
     mood, _ = verdict(stage, metrics) if stage.metrics else ("neutral", "")
     return Line(

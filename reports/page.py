@@ -17,7 +17,6 @@ from turtlebag.reports.content import (
     GOOD_WALLS,
     NEUTRAL,
     Chapter,
-    Part,
     collision_count,
     overall_mood,
 )
@@ -68,7 +67,6 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         words=WORDS,
         goal_numbers=GOAL_NUMBERS,
         planner_numbers=SPECS["plan"],
-        shown=shown,
         good_walls=GOOD_WALLS,
     )
 
@@ -95,6 +93,7 @@ def _environment() -> Environment:
     )
     environment.filters["themed"] = themed
     environment.filters["explained"] = explained
+    environment.globals["shown"] = shown
     environment.filters["short"] = lambda digest: digest[:12]
     return environment
 
@@ -133,7 +132,8 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         reached, believed = counts["goals_truly_reached"], counts["goals_reached"]
         mood = GOOD if reached == len(goals) else BAD
         meaning = "Goals of all runs that the robot had truly reached when it reported them as reached."
-        note = f"the robot reported {believed}" if believed != reached else _tasks(runs)
+        tasks = ", ".join(part.stage.title for part in runs if part.metrics.get("goals"))
+        note = f"the robot reported {believed}" if believed != reached else tasks
         found.append(Tile("goals reached", f"{reached} of {len(goals)}", note, meaning, mood))
     if runs:
         hits = sum(collision_count(part.metrics) for part in runs)
@@ -163,7 +163,3 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
             text, key = shown(value, spec.unit), f"{name}:{path}"
             found.append(Tile(label, text, note, spec.meaning, key=key, number=value))
     return found[:5]
-
-
-def _tasks(runs: Sequence[Part]) -> str:
-    return ", ".join(part.stage.title for part in runs if part.metrics.get("goals"))

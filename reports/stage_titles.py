@@ -44,18 +44,13 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
 
 
-def base_name(stage: Stage) -> str:
-    """The kind of a stage, of a run its task."""
-    return (stage.fact("task") or "run") if stage.kind == "navigate" else stage.kind
-
-
 def names_of(stages: Sequence[Stage], record_of: Callable[[Stage], Stage | None]) -> list[tuple[str, str]]:
     """(label, title) of each stage of one world: `goal`, `Goal (5.5, −4.5)`; recordings come first in it.
 
     Labels are for keys and files and unique. Of several stages of a kind, all say in what they differ.
     """
     named: dict[int, tuple[str, str]] = {}
-    bases = [base_name(stage) for stage in stages]
+    bases = [(one.fact("task") or "run") if one.kind == "navigate" else one.kind for one in stages]
     for base in dict.fromkeys(bases):
         alike = [stage for stage, other in zip(stages, bases, strict=True) if other == base]
         recordings = [
@@ -72,7 +67,8 @@ def _names_alike(
 ) -> list[tuple[str, str]]:
     """Names of all the stages of one kind, or task."""
     told = _differences(stages, recordings)
-    labels = [slug(" ".join([base, *_spelled(differences)])) for differences in told]
+    # In a label a minus would be lost.
+    labels = [slug(" ".join([base, *entry.values()]).replace("\u2212", "minus ")) for entry in told]
     names = []
     for stage, label, unique, differences in zip(stages, labels, unique_names(labels), told, strict=True):
         words = [text for name, text in differences.items() if (base, name) != ("goal", "goal")]
@@ -126,8 +122,3 @@ def _value(stage: Stage, name: str) -> str | None:
     if re.fullmatch(r"[-+.\deE, ]+", text):
         return f"({', '.join(part.strip() for part in text.split(','))})".replace("-", "\u2212")
     return Path(text).stem
-
-
-def _spelled(differences: dict[str, str]) -> list[str]:
-    """Differences as words for a label, in which a minus would be lost."""
-    return [text.replace("\u2212", "minus ") for text in differences.values()]

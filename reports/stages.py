@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -181,12 +181,6 @@ class Stage:
         entry = self.manifest.inputs.get(name)
         return {} if entry is None else entry.sha256
 
-    def read_hashes(self, inputs: Iterable[str]) -> set[str]:
-        """Hashes of the bags and trajectories among its inputs of those names."""
-        return {
-            digest for name in inputs for path, digest in self.hashes(name).items() if path.endswith(DRIVEN)
-        }
-
     def linking_hashes(self) -> set[str]:
         """Hashes of the data files it read or wrote."""
         files = dict(self.manifest.outputs)
@@ -220,10 +214,9 @@ class Group:
         A group may hold several recordings of its world, and times alone fit all of them.
         """
         for inputs in ("truth",), tuple(stage.manifest.inputs):
-            read = stage.read_hashes(inputs)
+            read = {digest for name in inputs for digest in _driven(stage.hashes(name))}
             for record in self.of_kind("record"):
-                wrote = {digest for path, digest in record.manifest.outputs.items() if path.endswith(DRIVEN)}
-                if wrote & read:
+                if read & _driven(record.manifest.outputs):
                     return record
             if read and inputs == ("truth",):
                 return None
@@ -242,28 +235,28 @@ class Group:
         wanted = {digest for entry in given.values() for digest in entry.sha256.values()}
         for other in self.stages:
             for folder, grid in (("", other.map), ("truth/", other.true_map)):
-                if wanted <= {
-                    other.manifest.outputs.get(f"{folder}map.yaml"),
-                    other.manifest.outputs.get(f"{folder}map.pgm"),
-                }:
+                if wanted <= {other.manifest.outputs.get(f"{folder}map.{kind}") for kind in ("yaml", "pgm")}:
                     return grid
         return None
+
+
+def _driven(files: Mapping[str, str]) -> set[str]:
+    """Hashes of the bags and trajectories among files."""
+    return {digest for path, digest in files.items() if path.endswith(DRIVEN)}
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON file that holds an object; InputError says what else it is. Whole numbers larger than any float
     are infinite, as larger fractions are."""
     try:
-        data = json.loads(path.read_text(), parse_int=_whole)
+        data = json.loads(
+            path.read_text(), parse_int=lambda digits: int(digits) if len(digits) < 300 else float(digits)
+        )
     except (OSError, ValueError, RecursionError):
         raise InputError(f"{path}: not readable JSON") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a JSON object")
     return data
-
-
-def _whole(digits: str) -> float:
-    return int(digits) if len(digits) < 300 else float(digits)
 
 
 def read_path(path: Path) -> SE2:

@@ -85,7 +85,6 @@ class Progress:
             share=shown(done / total, "percent") if total else DASH,
             rate=f"{60.0 * rate:.3g}" if rate > 0.0 else DASH,
             left=_duration((total - done) / rate) if rate > 0.0 else DASH,
-            shown=shown,
             again_s=round(EVERY_S),
         )
         try:

@@ -19,7 +19,6 @@ from turtlebag.pipeline.campaign.statistics import PairedSummary, compare_pairs,
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import write_table
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.numbers import shown
 from turtlebag.reports.page import fill
 
 MANY = 100
@@ -73,7 +72,6 @@ def write_results(
             worst=worst,
             base=base,
             words=words,
-            shown=shown,
         )
 
     (folder / PAGE).write_text(page("" if runs.is_local else f"{runs.url}/"))

@@ -112,15 +112,16 @@ def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapMetrics:
     true = _unique_cells(true_grid.cell_of(error.xy_true))
     both = len(mapped & true)
     reach = _one_cell(true_grid.resolution)
-    precision, recall = np.mean(error.error_m <= reach), np.mean(error.missed_m <= reach)
+    precision, recall = float(np.mean(error.error_m <= reach)), float(np.mean(error.missed_m <= reach))
+    matched = precision * recall
     return {
         "iou": both / (len(mapped) + len(true) - both),
-        "iou_one_cell": _union_share(float(precision), float(recall)),
-        "coverage": float(recall),
+        "iou_one_cell": matched / (precision + recall - matched) if matched > 0 else 0.0,
+        "coverage": recall,
         "occupied_error_m": {
             "mean": float(np.mean(error.error_m)),
             "p95": float(np.percentile(error.error_m, 95.0)),
-            "within_one_cell": float(precision),
+            "within_one_cell": precision,
         },
     }
 
@@ -128,11 +129,6 @@ def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapMetrics:
 def _one_cell(side: float) -> float:
     """Distance between diagonal neighbours, with room for rounding [m]."""
     return side * float(np.sqrt(2.0)) + 1e-6
-
-
-def _union_share(precision: float, recall: float) -> float:
-    """Intersection over union from the matched fractions of both sides."""
-    return precision * recall / (precision + recall - precision * recall) if precision * recall > 0 else 0.0
 
 
 def _unique_cells(cells: NDArray[np.int64]) -> set[tuple[int, int]]:

@@ -13,7 +13,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.other_systems import System, coverage, covered, gaps
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.se3 import lifted
 from turtlebag.datasets.trajectories import stamp_text
 from turtlebag.datasets.trajectories_3d import Trajectory3D
@@ -75,7 +75,8 @@ def measure(ours: System, others: Sequence[System], known: References) -> list[M
     InputError for a trajectory that cannot be paired with the reference.
     """
     reference = Trajectory3D.of(known.truth).in_time() if known.truth is not None else ours.track
-    span = _span(ours)
+    stamps = None if ours.track is None else ours.track.stamps_ns
+    span = None if stamps is None else (int(stamps.min()), int(stamps.max()))
     found: list[Measured] = []
     for system in (ours, *others):
         measured = Measured(system, Numbers(), list(system.notes))
@@ -83,12 +84,6 @@ def measure(ours: System, others: Sequence[System], known: References) -> list[M
             measured = _measure_track(system, ours, reference, span, known.relations, known.truth is not None)
         found.append(_measure_map(measured, found, known))
     return found
-
-
-def _span(ours: System) -> tuple[int, int] | None:
-    if ours.track is None:
-        return None
-    return int(ours.track.stamps_ns.min()), int(ours.track.stamps_ns.max())
 
 
 def _measure_track(
@@ -185,7 +180,9 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Referenc
         return measured
     if known.true_grid is None and measured is ours:
         return replace(measured, grid=grid)
-    surface = _surface(reference, known.true_grid, ours.system.grid)
+    surface = walls(reference)
+    if known.true_grid is not None and ours.system.grid is not None:
+        surface = reference.center_of(np.argwhere(visible_surface(reference, ours.system.grid)))
     placed = place(grid, surface, reference.resolution, _guesses(measured, ours, known))
     # Between grids of one lattice the closest points are no match to the cell: no move may be the better one.
     scored = [
@@ -196,12 +193,6 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Referenc
     numbers: Numbers = {**measured.numbers, "map": found, "map_moved": placed.T_ref_map.xyt.tolist()}
     notes = measured.notes + (_map_notes(placed, grid) if measured is not ours else [])
     return replace(measured, numbers=numbers, notes=notes, grid=placed.moved(grid))
-
-
-def _surface(reference: OccupancyGrid, true_grid: OccupancyGrid | None, ours: OccupancyGrid | None) -> Array:
-    if true_grid is None or ours is None:
-        return walls(reference)
-    return reference.center_of(np.argwhere(visible_surface(reference, ours)))
 
 
 def _guesses(measured: Measured, ours: Measured, known: References) -> list[SE2]:
