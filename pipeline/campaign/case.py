@@ -122,7 +122,8 @@ class _Work:
                 name, make = f"{self._recipes[stage]}.tar", partial(self._packed, stage)
                 packed = made_once(self._where.outputs, name, make)
                 if not self._places[stage].exists():
-                    _unpack(packed, self._places[stage])
+                    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+                        archive.extractall(self._places[stage], filter="data")
             else:
                 self._make(stage)
 
@@ -181,11 +182,6 @@ class _Work:
         if url := str(self._case.factors.get(BAG, "")):
             named = named.replace(str(self._folder / BAG / url.rpartition("/")[2]), url)
         return StageFailed(f"{stage}: {named.replace(str(self._folder), 'CASE')}")
-
-
-def _unpack(packed: bytes, folder: Path) -> None:
-    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
-        archive.extractall(folder, filter="data")
 
 
 def _value(places: Mapping[str, Path], where: str) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Literal
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
@@ -76,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
     _refuse_unused(args)
     settings = [*args.settings, *([f"avoid.mode={args.mode}"] if args.mode else [])]
+    override = args.teleop_override
     request = Request(
         task=args.task,
         seed=args.seed,
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         timeout_s=args.timeout,
         duration_s=args.duration,
         wiggle=args.wiggle,
-        teleop_override=_override(args.teleop_override),
+        teleop_override=override if override in (None, "keyboard") else Path(override),
         keepout=_keepout(args.keepout),
         keepout_path=None if args.keepout in (None, "none") else Path(args.keepout),
     )
@@ -116,11 +116,6 @@ def _refuse_unused(args: argparse.Namespace) -> None:
             raise InputError(f"{option}: not for --task {args.task}, only for {takers}; remove it")
         if args.task == "goal" and args.map is None and name in ON_A_MAP:
             raise InputError(f"{option}: needs a map; give --map or remove it")
-
-
-def _override(text: str | None) -> Literal["keyboard"] | Path | None:
-    """The source of teleop overrides."""
-    return "keyboard" if text == "keyboard" else None if text is None else Path(text)
 
 
 def _keepout(text: str | None) -> tuple[Array, ...] | None:

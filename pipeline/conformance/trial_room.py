@@ -47,7 +47,9 @@ def made(part: Callable[..., Any], contract: type, *given: object) -> Any:
         if inspect.isclass(part):
             require(part, contract)
         one = part(*given)
-        require(type(one), _without_init(contract))
+        # The same contract for who is made otherwise: by a function, with settings of its own.
+        methods = {name: value for name, value in vars(contract).items() if name != "__init__"}
+        require(type(one), type(contract.__name__, (), methods))
         require_attributes(one, contract)
         return one
 
@@ -59,11 +61,6 @@ def told() -> Iterator[None]:
         yield
     except InputError as error:
         raise AssertionError(str(error)) from None
-
-
-def _without_init(contract: type) -> type:
-    """The same contract for who is made otherwise: by a function, with settings of its own."""
-    return type(contract.__name__, (), {k: v for k, v in vars(contract).items() if k != "__init__"})
 
 
 def room() -> World:

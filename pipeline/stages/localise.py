@@ -89,7 +89,9 @@ def localise(
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)
     if initial_pose is None:
-        result, outcome = None, _rejected("no initial pose")
+        result, reason = None, "no initial pose"
+        log.error("rejected: %s", reason)
+        outcome = {"success": False, "status": "rejected", "reason": reason, "localisation_error_m": None}
     else:
         result = run_amcl(recording, grid, initial_pose, config, stream(seed, "amcl"))
         try:
@@ -213,11 +215,6 @@ def load_localise_config(path: Path | None, settings: Sequence[str]) -> Localise
     if ignored:
         log.info("%s: ignored %s", path, ", ".join(ignored))
     return load_config(LocaliseConfig, None, [*(f"amcl.{k}={v}" for k, v in known.items()), *settings])
-
-
-def _rejected(reason: str) -> dict[str, Any]:
-    log.error("rejected: %s", reason)
-    return {"success": False, "status": "rejected", "reason": reason, "localisation_error_m": None}
 
 
 def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:

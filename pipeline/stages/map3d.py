@@ -10,7 +10,6 @@ import numpy as np
 
 from turtlebag.datasets.bags.point_clouds import load_clouds
 from turtlebag.datasets.outputs import write_json
-from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.pipeline.slam.explain import candidate, moved, worst_edges
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
@@ -42,14 +41,11 @@ def map_clouds(
         "recognised": [candidate(loop, T) for loop in result.recognised],
     }
     cloud = {"points": len(result.points), "voxel_m": result.setup.voxel}
-    out_of_plane = {"out_of_plane": _out_of_plane(result.T_map_base)}
-    return Mapped(recording, resolved, result, record, write, {"cloud": cloud}, out_of_plane)
-
-
-def _out_of_plane(T: Array) -> dict[str, float]:
-    """How far the poses leave the plane of the simulator's floor, RMS: height [m] and tilt [rad]."""
-    tilt = np.arccos(np.clip(T[:, 2, 2], -1.0, 1.0))
-    return {"z_m": float(np.sqrt(np.mean(T[:, 2, 3] ** 2))), "tilt_rad": float(np.sqrt(np.mean(tilt**2)))}
+    # How far the poses leave the plane of the simulator's floor.
+    z, cosine = result.T_map_base[:, 2, 3], result.T_map_base[:, 2, 2]
+    tilt = np.arccos(np.clip(cosine, -1.0, 1.0))
+    rms = {"z_m": float(np.sqrt(np.mean(z**2))), "tilt_rad": float(np.sqrt(np.mean(tilt**2)))}
+    return Mapped(recording, resolved, result, record, write, {"cloud": cloud}, {"out_of_plane": rms})
 
 
 def explanation(result: Slam3dResult) -> dict[str, Any]:

@@ -55,6 +55,7 @@ def navigate(
         "world": world.name,
         "task": request.task,
     }
+    known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
     at_once: nullcontext[list[int]] = nullcontext([])
     with (
@@ -65,7 +66,7 @@ def navigate(
         with (
             BagWriter(folder / "bag", custom=custom) as bag,
             _overrides(mission) as overrides,
-            simulated_time(_length_s(mission)) as clock,
+            simulated_time(known_s if request.task == "avoid" else None) as clock,
         ):
             news = News(_opening(world, mission), log.info, clock)
             episode = drive(simulator, mission, Audience(bag, say, news, interrupted), overrides)
@@ -124,13 +125,6 @@ def _opening(world: World, mission: Mission) -> str:
     }
     doing = tasks.get(request.task, f"task {request.task}")
     return f"{doing}: {mission.robot.name} in {world.name}, seed {request.seed}"
-
-
-def _length_s(mission: Mission) -> float | None:
-    """How long the run will take [simulated s], where that is known beforehand."""
-    if mission.request.task != "avoid":
-        return None
-    return mission.request.duration_s or DEFAULT_DURATION_S
 
 
 @contextmanager

@@ -26,14 +26,7 @@ def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord)
     residual_cm = 100.0 * residual_m
     segments = keys.poses.xy[pairs[order]]
     norm = Normalize(0.0, 100.0 * ERROR_SCALE_M)
-    lines = LineCollection(
-        list(segments),
-        cmap=FINE_TO_BAD,
-        norm=norm,
-        linewidths=1.8,
-        alpha=0.8,
-        zorder=4,
-    )
+    lines = LineCollection(list(segments), cmap=FINE_TO_BAD, norm=norm, linewidths=1.8, alpha=0.8, zorder=4)
     lines.set_rasterized(len(order) > 1500)
     lines.set_array(residual_cm[order])
     axes.add_collection(lines)

@@ -18,18 +18,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.figures.style import (
-    FINE_TO_BAD,
-    GROUND,
-    INK,
-    LINES,
-    PAPER,
-    SERIES,
-    WIDTH_IN,
-    bare,
-    new_figure,
-    series_colour,
-)
+from turtlebag.reports.figures import style
 from turtlebag.reports.metrics.map import map_error, occupied
 
 Box = tuple[float, float, float, float]
@@ -51,8 +40,8 @@ def view_box(grid: OccupancyGrid | None, trajectories: Sequence[Trajectory | Non
 def map_figure(box: Box, *, bar: bool = False) -> tuple[Figure, Axes]:
     """A figure as tall as the box asks for, with bare, equal axes in metres; `bar`: room for a scale."""
     shape = (box[3] - box[2]) / max(box[1] - box[0], 1e-6)
-    width, extra = (WIDTH_IN - 1.35, 0.45) if bar else (WIDTH_IN - 0.5, 0.65)
-    figure = new_figure(float(np.clip(shape * width, 2.0, 7.0)) + extra)
+    width, extra = (style.WIDTH_IN - 1.35, 0.45) if bar else (style.WIDTH_IN - 0.5, 0.65)
+    figure = style.new_figure(float(np.clip(shape * width, 2.0, 7.0)) + extra)
     axes = figure.add_subplot()
     frame(axes, box)
     return figure, axes
@@ -70,7 +59,7 @@ def faint_map(
 
 def frame(axes: Axes, box: Box) -> None:
     """Equal axes over the box, in metres."""
-    bare(axes)
+    style.bare(axes)
     axes.set_aspect("equal")
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
@@ -81,9 +70,9 @@ def frame(axes: Axes, box: Box) -> None:
 def draw_grid(axes: Axes, grid: OccupancyGrid, *, faint: bool = False) -> None:
     """Occupied ink, free paper, unknown ground; `faint` keeps it in the background of paths."""
     image = np.empty((*grid.shape, 3))
-    image[:] = to_rgb(PAPER)
-    image[grid.cells == UNKNOWN] = to_rgb(GROUND)
-    image[occupied(grid)] = to_rgb("#9aa3ad" if faint else INK)
+    image[:] = to_rgb(style.PAPER)
+    image[grid.cells == UNKNOWN] = to_rgb(style.GROUND)
+    image[occupied(grid)] = to_rgb("#9aa3ad" if faint else style.INK)
     show_image(axes, image, grid)
 
 
@@ -99,22 +88,24 @@ def show_image(axes: Axes, image: NDArray[np.float64], grid: OccupancyGrid) -> N
 def draw_path(axes: Axes, trajectory: Trajectory | None, kind: str, **changes: Any) -> None:
     """A trajectory in its kind's colour and line."""
     if trajectory is not None and len(trajectory):
-        axes.plot(trajectory.poses.x, trajectory.poses.y, zorder=2, **{**LINES[kind], **changes})
+        axes.plot(trajectory.poses.x, trajectory.poses.y, zorder=2, **{**style.LINES[kind], **changes})
 
 
 def map_over_truth(grid: OccupancyGrid, true_grid: OccupancyGrid) -> Figure:
     """Mapped occupied cells, coloured by their distance to the true surface, on the true map."""
     figure, axes = map_figure(view_box(grid), bar=True)
-    solid = np.full((*true_grid.shape, 3), to_rgb(PAPER))
+    solid = np.full((*true_grid.shape, 3), to_rgb(style.PAPER))
     solid[occupied(true_grid)] = to_rgb("#ccd3db")
     show_image(axes, solid, true_grid)
     error = map_error(grid, true_grid)
     norm = Normalize(0.0, 100.0 * ERROR_SCALE_M)
     image = np.zeros((*grid.shape, 4))
     cells = grid.cell_of(error.xy_mapped)
-    image[cells[:, 0], cells[:, 1]] = FINE_TO_BAD(norm(100.0 * np.minimum(error.error_m, ERROR_SCALE_M)))
+    image[cells[:, 0], cells[:, 1]] = style.FINE_TO_BAD(
+        norm(100.0 * np.minimum(error.error_m, ERROR_SCALE_M))
+    )
     show_image(axes, image, grid)
-    add_scale(axes, ScalarMappable(norm, FINE_TO_BAD), "mapped cell to true surface [cm]", extend="max")
+    add_scale(axes, ScalarMappable(norm, style.FINE_TO_BAD), "mapped cell to true surface [cm]", extend="max")
     return figure
 
 
@@ -153,12 +144,12 @@ def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     tracks = {name: Trajectory.untimed(poses) for name, poses in paths.items()}
     figure, axes = faint_map(grid, list(tracks.values()))
     for number, (name, track) in enumerate(tracks.items()):
-        colour = series_colour(number)
-        dashes = ("-", (0, (5, 2)), (0, (1, 1.5)))[number // len(SERIES) % 3]
+        colour = style.series_colour(number)
+        dashes = ("-", (0, (5, 2)), (0, (1, 1.5)))[number // len(style.SERIES) % 3]
         axes.plot(track.poses.x, track.poses.y, color=colour, linestyle=dashes, linewidth=1.5, label=name)
     first = next(iter(tracks.values())).poses
     draw_start(axes, first[0])
-    axes.plot(first.x[-1], first.y[-1], "o", color=INK, markersize=6, zorder=5)
+    axes.plot(first.x[-1], first.y[-1], "o", color=style.INK, markersize=6, zorder=5)
     figure.legend(loc="outside lower center", ncol=3, fontsize=8.5)
     figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(tracks) // 3))
     return figure
@@ -184,7 +175,7 @@ def draw_pose(axes: Axes, T_map_base: SE2, colour: str, length_m: float = 0.3) -
 
 def draw_start(axes: Axes, T_map_base: SE2) -> None:
     """Where a robot set out: an arrow with the word."""
-    draw_pose(axes, T_map_base, INK)
+    draw_pose(axes, T_map_base, style.INK)
     left = np.cos(float(T_map_base.yaw)) > 0.0
     axes.annotate(
         "start",
@@ -194,9 +185,9 @@ def draw_start(axes: Axes, T_map_base: SE2) -> None:
         ha="right" if left else "left",
         va="center",
         fontsize=8.5,
-        color=INK,
+        color=style.INK,
         zorder=6,
-        path_effects=[withStroke(linewidth=2.5, foreground=PAPER)],
+        path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)],
     )
 
 

@@ -12,15 +12,7 @@ from matplotlib.patheffects import withStroke
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.figures.maps import (
-    Box,
-    draw_grid,
-    draw_pose,
-    frame,
-    length_text,
-    scale_length,
-    view_box,
-)
+from turtlebag.reports.figures import maps
 from turtlebag.reports.figures.style import BAD, INK, LINES, PAPER, RULE, WIDTH_IN, new_figure
 
 LEAST_M = 0.2
@@ -36,7 +28,7 @@ def particles(
     grid: OccupancyGrid | None, clouds: Sequence[tuple[float, SE2]], truth: Trajectory | None
 ) -> Figure:
     """Snapshots of the cloud (seconds since the start, poses); the true pose as an arrow, or where it is."""
-    whole = view_box(grid, [truth])
+    whole = maps.view_box(grid, [truth])
     columns = min(3, len(clouds))
     rows = -(-len(clouds) // columns)
     figure = new_figure((WIDTH_IN / columns + 0.25) * rows)
@@ -46,12 +38,12 @@ def particles(
         if truth is not None:
             T_world_base = truth.at(np.array([round(time_s * 1e9) + int(truth.stamps_ns[0])]))[0]
         box = zoom_box(cloud, T_world_base, whole)
-        frame(axes, box)
+        maps.frame(axes, box)
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
         for spine in axes.spines.values():
             spine.set(visible=True, color=RULE)
         if grid is not None:
-            draw_grid(axes, grid, faint=True)
+            maps.draw_grid(axes, grid, faint=True)
         _draw_cloud(axes, cloud, box)
         if T_world_base is not None:
             _draw_truth(axes, T_world_base, box)
@@ -60,7 +52,7 @@ def particles(
     return figure
 
 
-def zoom_box(cloud: SE2, T_world_base: SE2 | None, whole: Box) -> Box:
+def zoom_box(cloud: SE2, T_world_base: SE2 | None, whole: maps.Box) -> maps.Box:
     """A square around the cloud, and the true pose when that is near; at most as wide as the whole map."""
     low, high = np.percentile(cloud.xy, MIDDLE, axis=0)
     middle = (low + high) / 2.0
@@ -75,7 +67,7 @@ def zoom_box(cloud: SE2, T_world_base: SE2 | None, whole: Box) -> Box:
     return x - half, x + half, y - half, y + half
 
 
-def _draw_cloud(axes: Axes, cloud: SE2, box: Box) -> None:
+def _draw_cloud(axes: Axes, cloud: SE2, box: maps.Box) -> None:
     """Particles as dots with a tail of heading, at most MOST_DRAWN of them."""
     few = cloud[:: -(-len(cloud) // MOST_DRAWN)]
     length = 0.06 * (box[1] - box[0])
@@ -95,26 +87,26 @@ def _draw_cloud(axes: Axes, cloud: SE2, box: Box) -> None:
     )
 
 
-def _draw_truth(axes: Axes, T_world_base: SE2, box: Box) -> None:
+def _draw_truth(axes: Axes, T_world_base: SE2, box: maps.Box) -> None:
     """The true pose; where it lies out of view, an arrow at the border that says how far it is."""
     width = box[1] - box[0]
     middle = np.array([box[0] + box[1], box[2] + box[3]]) / 2.0
     if np.abs(T_world_base.xy - middle).max() <= 0.5 * width:
-        draw_pose(axes, T_world_base, INK, 0.18 * width)
+        maps.draw_pose(axes, T_world_base, INK, 0.18 * width)
         axes.plot(T_world_base.x, T_world_base.y, "o", color=INK, markersize=4, zorder=4)
         return
     away: Array = T_world_base.xy - middle
     distance = float(np.linalg.norm(away))
     yaw = float(np.arctan2(away[1], away[0]))
     towards = SE2.from_xyt(float(middle[0]), float(middle[1]), yaw)
-    draw_pose(axes, towards @ SE2.from_xyt(0.25 * width, 0.0, 0.0), BAD, 0.2 * width)
+    maps.draw_pose(axes, towards @ SE2.from_xyt(0.25 * width, 0.0, 0.0), BAD, 0.2 * width)
     _note(axes, 0.95, f"truth {distance:.1f} m away", "top", BAD)
 
 
-def _scale_bar(axes: Axes, box: Box) -> None:
+def _scale_bar(axes: Axes, box: maps.Box) -> None:
     """A bar with its length in the lower left corner."""
     width = box[1] - box[0]
-    length = scale_length(width)
+    length = maps.scale_length(width)
     x, y = box[0] + 0.05 * width, box[2] + 0.05 * width
     outline = [withStroke(linewidth=4.0, foreground=PAPER)]
     axes.plot(
@@ -126,7 +118,7 @@ def _scale_bar(axes: Axes, box: Box) -> None:
         path_effects=outline,
         zorder=6,
     )
-    _note(axes, 0.08, length_text(length), "bottom", INK)
+    _note(axes, 0.08, maps.length_text(length), "bottom", INK)
 
 
 def _note(axes: Axes, height: float, text: str, side: str, colour: str) -> None:

@@ -17,17 +17,7 @@ from matplotlib.offsetbox import AnchoredText
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.figures.maps import (
-    add_scale,
-    draw_grid,
-    draw_path,
-    draw_pose,
-    draw_start,
-    faint_map,
-    legend_above,
-    map_figure,
-    view_box,
-)
+from turtlebag.reports.figures import maps
 from turtlebag.reports.figures.style import BAD, FINE_TO_BAD, GOOD, INK, MUTED, ODOMETRY, PAPER, SLAM
 from turtlebag.reports.metrics.navigation import outcome, placed_goals
 
@@ -76,13 +66,13 @@ def run(
     """What a run drove: true and estimated path on the map from the start, goals numbered and coloured by
     how they truly ended; for a run without goals where it decided what.
     """
-    box = view_box(grid, [truth, estimate])
-    figure, axes = map_figure(box)
+    box = maps.view_box(grid, [truth, estimate])
+    figure, axes = maps.map_figure(box)
     if grid is not None:
-        draw_grid(axes, grid)
-    draw_path(axes, truth, "truth", label="true path")
-    draw_path(axes, estimate, "amcl")
-    draw_start(axes, truth.poses[0])
+        maps.draw_grid(axes, grid)
+    maps.draw_path(axes, truth, "truth", label="true path")
+    maps.draw_path(axes, estimate, "amcl")
+    maps.draw_start(axes, truth.poses[0])
     handles: list[Artist] = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
     used = _draw_goals(axes, goals)
     handles += [_marker(*ENDS[end]) for end in ENDS if end in used]
@@ -90,7 +80,7 @@ def run(
         handles += _draw_decisions(axes, decisions, 0.05 * max(box[1] - box[0], box[3] - box[2]))
     if len(contacts_xy):
         handles += axes.plot(*contacts_xy.T, "*", color=BAD, markersize=9, label="contact", zorder=6)
-    legend_above(axes, handles)
+    maps.legend_above(axes, handles)
     return figure
 
 
@@ -119,7 +109,7 @@ def _draw_decisions(axes: Axes, decisions: Decisions, length_m: float) -> list[A
             continue
         label, colour, side = DECISIONS[word]
         pose = decisions.T_world_base[number]
-        draw_pose(axes, pose @ SE2.from_xyt(0.0, 0.0, side), colour, length_m)
+        maps.draw_pose(axes, pose @ SE2.from_xyt(0.0, 0.0, side), colour, length_m)
         axes.plot(float(pose.x), float(pose.y), "o", color=colour, markersize=4, zorder=5)
         handles.setdefault(label, _marker(colour, r"$\rightarrow$", label))
     return list(handles.values())
@@ -127,7 +117,7 @@ def _draw_decisions(axes: Axes, decisions: Decisions, length_m: float) -> list[A
 
 def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m: Array) -> Figure:
     """The true path coloured by the footprint's clearance; the nearest place is named."""
-    figure, axes = faint_map(grid, [truth], bar=True)
+    figure, axes = maps.faint_map(grid, [truth], bar=True)
     finite = np.where(np.isfinite(clearance_m), clearance_m, np.nan)
     points = axes.scatter(
         truth.poses.x,
@@ -139,7 +129,7 @@ def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m:
         zorder=3,
         rasterized=True,
     )
-    add_scale(axes, points, "clearance [cm]", extend="max")
+    maps.add_scale(axes, points, "clearance [cm]", extend="max")
     if np.isfinite(finite).any():
         nearest = int(np.nanargmin(finite))
         axes.plot(truth.poses.x[nearest], truth.poses.y[nearest], "v", color=INK, markersize=8, zorder=5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -44,24 +45,27 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
     figure, axes = stacked(4, 5.6)
     start = int(truth.stamps_ns[0])
     for pairs, kind in ((odometry, "odometry"), (slam, "slam")):
-        if pairs is None:
-            continue
-        order = np.argsort(pairs.stamps_ns, kind="stable")
-        t = seconds(pairs.stamps_ns[order] - start)
-        axes[0].plot(t, 100.0 * pairs.position_errors()[order], **LINES[kind])
-        axes[1].plot(t, np.degrees(pairs.yaw_errors()[order]), **LINES[kind])
+        if pairs is not None:
+            _plot_errors(axes, pairs, start, **LINES[kind])
     for axis in axes[:2]:
         error_axis(axis)
-    axes[0].set_ylabel("position\nerror [cm]")
-    axes[1].set_ylabel("yaw\nerror [°]")
     legend_above(axes[0])
     t, v, w = speeds(truth)
-    axes[2].plot(t, v, color=INK, linewidth=0.9)
-    axes[2].set_ylabel("speed\n[m/s]")
-    axes[3].plot(t, w, color=INK, linewidth=0.9)
-    axes[3].set_ylabel("yaw rate\n[rad/s]")
+    for axis, values, label in ((axes[2], v, "speed\n[m/s]"), (axes[3], w, "yaw rate\n[rad/s]")):
+        axis.plot(t, values, color=INK, linewidth=0.9)
+        axis.set_ylabel(label)
     figure.align_ylabels(axes)
     return figure
+
+
+def _plot_errors(axes: Sequence[Axes], pairs: PosePairs, start_ns: int, **line: Any) -> None:
+    """Errors of the position on the first axes, of the yaw on the second."""
+    order = np.argsort(pairs.stamps_ns, kind="stable")
+    t = seconds(pairs.stamps_ns[order] - start_ns)
+    axes[0].plot(t, 100.0 * pairs.position_errors()[order], **line)
+    axes[0].set_ylabel("position\nerror [cm]")
+    axes[1].plot(t, np.degrees(pairs.yaw_errors()[order]), **line)
+    axes[1].set_ylabel("yaw\nerror [°]")
 
 
 def error_axis(axis: Axes) -> None:
@@ -83,11 +87,7 @@ def localisation(
 ) -> Figure:
     """Position and yaw error of the estimate, with contact episodes shaded and goals ticked."""
     figure, axes = stacked(2, 3.4)
-    t = seconds(pairs.stamps_ns - start_ns)
-    axes[0].plot(t, 100.0 * pairs.position_errors(), color=AMCL, linewidth=1.2)
-    axes[0].set_ylabel("position\nerror [cm]")
-    axes[1].plot(t, np.degrees(pairs.yaw_errors()), color=AMCL, linewidth=1.2)
-    axes[1].set_ylabel("yaw\nerror [°]")
+    _plot_errors(axes, pairs, start_ns, color=AMCL, linewidth=1.2)
     for axis in axes:
         error_axis(axis)
         mark_events(axis, start_ns, contacts, goals_s)
@@ -116,10 +116,9 @@ def clearance(
     axes[0].set_ylabel("clearance\n[cm]")
     axes[0].set_ylim(bottom=0.0)
     axes[0].axhline(0.0, color=BAD, linewidth=1.0)
-    axes[1].plot(t, commands[:, 0], color=INK, linewidth=0.9)
-    axes[1].set_ylabel("command\n[m/s]")
-    axes[2].plot(t, commands[:, 1], color=INK, linewidth=0.9)
-    axes[2].set_ylabel("command\n[rad/s]")
+    for axis, values, unit in zip(axes[1:], commands.T, ("m/s", "rad/s"), strict=True):
+        axis.plot(t, values, color=INK, linewidth=0.9)
+        axis.set_ylabel(f"command\n[{unit}]")
     for axis in axes:
         mark_events(axis, start, contacts, goals_s)
     figure.align_ylabels(axes)

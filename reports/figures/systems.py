@@ -13,14 +13,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.other_systems import gaps
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
-from turtlebag.reports.figures.maps import (
-    draw_path,
-    faint_map,
-    legend_above,
-    map_figure,
-    show_image,
-    view_box,
-)
+from turtlebag.reports.figures import maps
 from turtlebag.reports.figures.series import error_axis, stacked
 from turtlebag.reports.figures.style import MUTED, series_colour
 from turtlebag.reports.metrics.map import occupied, walls_in
@@ -30,13 +23,13 @@ def paths(
     ground: OccupancyGrid | None, truth: Trajectory | None, systems: Mapping[str, Trajectory]
 ) -> Figure:
     """Paths over a faint map, the truth as a wide band beneath."""
-    figure, axes = faint_map(ground, [*systems.values(), truth])
-    draw_path(axes, truth, "truth")
+    figure, axes = maps.faint_map(ground, [*systems.values(), truth])
+    maps.draw_path(axes, truth, "truth")
     for number, (name, path) in enumerate(systems.items()):
         xy = _broken(path.stamps_ns, path.poses.xy)
         width = 2.0 if number == 0 and truth is None else 1.2
         axes.plot(xy[:, 0], xy[:, 1], color=series_colour(number), linewidth=width, label=name, zorder=2)
-    legend_above(axes)
+    maps.legend_above(axes)
     return figure
 
 
@@ -49,24 +42,24 @@ def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], la
         axes.plot(line[:, 0], line[:, 1], color=series_colour(names.index(name)), linewidth=1.2, label=name)
     axes.set_ylabel(label)
     error_axis(axes)
-    legend_above(axes)
+    maps.legend_above(axes)
     return figure
 
 
 def walls(a: OccupancyGrid, b: OccupancyGrid, names: tuple[str, str], number: int = 1) -> Figure:
     """Occupied cells of both: grey where the other has one within a cell, else in the system's colour; that
     of the second by its number."""
-    x0, x1, y0, y1 = zip(view_box(a), view_box(b), strict=True)
-    figure, axes = map_figure((min(x0), max(x1), min(y0), max(y1)))
+    x0, x1, y0, y1 = zip(maps.view_box(a), maps.view_box(b), strict=True)
+    figure, axes = maps.map_figure((min(x0), max(x1), min(y0), max(y1)))
     of_a, of_b = series_colour(0), series_colour(number)
     for grid, other, colour in ((b, a, of_b), (a, b, of_a)):
         image = np.zeros((*grid.shape, 4))
         cells, shared = np.argwhere(occupied(grid)), walls_in(grid, other)
         for chosen, shade in ((cells[shared], MUTED), (cells[~shared], colour)):
             image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
-        show_image(axes, image, grid)
+        maps.show_image(axes, image, grid)
     words = ("both", MUTED), (f"only {names[0]}", of_a), (f"only {names[1]}", of_b)
-    legend_above(axes, [Patch(color=colour, label=word) for word, colour in words])
+    maps.legend_above(axes, [Patch(color=colour, label=word) for word, colour in words])
     return figure
 
 

@@ -101,11 +101,9 @@ def in_python() -> Iterator[None]:
         yield
     except InputError as error:
         said = re.sub(r"^\w+: argument (.*) \(see turtlebag \w+ --help\)$", r"\1", str(error))
-        raise InputError(re.sub(r"(?<![\w./-])--([a-z]+(?:-[a-z]+)*)", _argument, said)) from error.__cause__
-
-
-def _argument(option: re.Match[str]) -> str:
-    return IN_PYTHON.get(option[1], option[1].replace("-", "_"))
+        option = r"(?<![\w./-])--([a-z]+(?:-[a-z]+)*)"
+        said = re.sub(option, lambda at: IN_PYTHON.get(at[1], at[1].replace("-", "_")), said)
+        raise InputError(said) from error.__cause__
 
 
 @contextmanager
