@@ -19,21 +19,17 @@ from turtlebag.reports.numbers import lookup, shown
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One number of one system; `best` among those in its row."""
-
-    key: str
-    value: float | None
-    text: str
-    best: bool = False
-
-
-@dataclass(frozen=True)
 class Row:
-    """One number of all systems."""
+    """One number of all systems in their order, and how the best of them is shown, if one is."""
 
     spec: MetricSpec
-    cells: list[Cell]
+    values: list[float | None]
+    best: str | None
+
+    @property
+    def texts(self) -> list[str]:
+        """The numbers as they are shown."""
+        return [shown(value, self.spec.unit) for value in self.values]
 
 
 class SystemsMetrics(TypedDict):
@@ -76,24 +72,23 @@ class SystemComparison:
         found = []
         for section in SYSTEMS:
             rows = [self._row(spec) for spec in section.specs]
-            rows = [row for row in rows if any(cell.value is not None for cell in row.cells)]
+            rows = [row for row in rows if any(value is not None for value in row.values)]
             if rows:
                 found.append((section.title, section.hint.format(**words), rows))
         return found
 
+    @property
+    def rows(self) -> list[Row]:
+        """Those of all sections."""
+        return [row for _, _, rows in self.sections for row in rows]
+
     def _row(self, spec: MetricSpec) -> Row:
         values = [lookup(numbers, spec.path) for numbers in self.metrics["systems"].values()]
-        texts = [shown(value, spec.unit) for value in values]
-        known = [(value, text) for value, text in zip(values, texts, strict=True) if value is not None]
+        known = [(value, shown(value, spec.unit)) for value in values if value is not None]
         judged = spec.judged and self._is_error(spec.path)
         judged = judged and len({text for _, text in known}) > 1
         more = spec.path.rpartition(".")[2] in MORE_IS_BETTER
-        best = (max if more else min)(known)[1] if judged else None
-        cells = [
-            Cell(f"systems:systems.{name}.{spec.path}", value, text, text == best)
-            for name, value, text in zip(self.names, values, texts, strict=True)
-        ]
-        return Row(spec, cells)
+        return Row(spec, values, (max if more else min)(known)[1] if judged else None)
 
     @property
     def sentence(self) -> str:

@@ -7,93 +7,72 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from turtlebag.reports.content import Chapter, Part
-from turtlebag.reports.metric_specs import GOAL_NUMBERS
-from turtlebag.reports.numbers import UNITS
+from turtlebag.reports.content import Chapter
+from turtlebag.reports.metric_specs import GOAL_NUMBERS, MetricSpec
+from turtlebag.reports.numbers import UNITS, shown
 from turtlebag.reports.stage_titles import slug
-from turtlebag.reports.system_comparison import SystemComparison
 
 LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}"}
 LATEX |= {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$", "|": "$|$"}
 # After a line's end LaTeX would take these for arguments of the end.
 LATEX |= {"[": "{[}", "*": "{*}"}
-SYMBOLS = {
-    "\u202f": r"\,",
-    "\u2212": r"$-$",
-    "\u2013": "--",
-    "°": r"$^\circ$",
-    "²": "$^2$",
-    "\u2248": r"$\approx$",
-}
+SYMBOLS = {"\u202f": r"\,", "\u2212": r"$-$", "\u2013": "--", "\u2248": r"$\approx$"}
+SYMBOLS |= {"°": r"$^\circ$", "²": "$^2$"}
 
 
 def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
-    """`numbers.csv` with every number in SI units, and one `.tex` table for each stage and goal list."""
+    """`numbers.csv` with every number in SI units, and one `.tex` table for each stage, goal list and
+    comparison of systems."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "numbers.csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["world", "stage", "number", "value", "unit", "shown", "meaning"])
         for chapter in chapters:
-            for part in chapter.parts:
-                writer.writerows([chapter.name, part.stage.label, *row] for row in _rows(part))
-            if chapter.systems is not None:
-                writer.writerows([chapter.name, "systems", *row] for row in _system_rows(chapter.systems))
-    for chapter in chapters:
-        _write_systems(chapter, folder)
-        for part in chapter.parts:
-            name = f"{slug(chapter.name)}-{slug(part.stage.label)}"
-            rows = [(number.spec.label, number.text) for number in part.numbers]
-            if rows:
-                (folder / f"{name}.tex").write_text(latex_table(("number", "value"), rows, "lr"))
-            if part.goals:
-                head = ("\\#", "goal", "reported", "truth", *(spec.label for spec in GOAL_NUMBERS))
-                goals = [
-                    (
-                        str(goal["number"]),
-                        goal["pose"],
-                        goal["status"],
-                        goal["truth"],
-                        *(text for _, _, text in goal["numbers"]),
-                    )
-                    for goal in part.goals
-                ]
-                (folder / f"{name}-goals.tex").write_text(latex_table(head, goals, "rlllrrr"))
+            writer.writerows(_rows(chapter))
+            for name, head, rows, columns in _tables(chapter):
+                (folder / f"{slug(chapter.name)}-{name}.tex").write_text(latex_table(head, rows, columns))
 
 
-def _write_systems(chapter: Chapter, folder: Path) -> None:
-    """A table with a column for each system."""
-    if chapter.systems is None:
-        return
-    found = [
-        (row.spec.label, *(cell.text for cell in row.cells))
-        for _, _, rows in chapter.systems.sections
-        for row in rows
-    ]
-    head = ("number", *(latex(name) for name in chapter.systems.names))
-    columns = "l" + "r" * len(chapter.systems.names)
-    (folder / f"{slug(chapter.name)}-systems.tex").write_text(latex_table(head, found, columns))
+def _rows(chapter: Chapter) -> Iterator[list[Any]]:
+    """Every number of a world as a line of the file; in a stage its goals' last."""
+
+    def row(stage: str, path: str, spec: MetricSpec, value: Any, more: str = "") -> list[Any]:
+        unit = UNITS[spec.unit].stored
+        return [chapter.name, stage, path, value, unit, shown(value, spec.unit), spec.meaning + more]
+
+    for part in chapter.parts:
+        label = part.stage.label
+        for number in part.numbers:
+            yield row(label, number.spec.path, number.spec, number.value)
+        for goal in part.goals:
+            place, more = goal["number"] - 1, f" Goal {goal['number']}, {goal['status']}."
+            for spec, value, _ in goal["numbers"]:
+                yield row(label, f"goals.{place}.{spec.path}", spec, value, more)
+    if chapter.systems is not None:
+        for line in chapter.systems.rows:
+            for name, value in zip(chapter.systems.names, line.values, strict=True):
+                if value is not None:
+                    yield row("systems", f"systems.{name}.{line.spec.path}", line.spec, value)
 
 
-def _system_rows(comparison: SystemComparison) -> Iterator[list[Any]]:
-    """Path in the metrics, value, its unit, as shown and meaning of each number of each system."""
-    for _, _, rows in comparison.sections:
-        for row in rows:
-            for cell in row.cells:
-                if cell.value is not None:
-                    path, unit = cell.key.partition(":")[2], UNITS[row.spec.unit].stored
-                    yield [path, cell.value, unit, cell.text, row.spec.meaning]
-
-
-def _rows(part: Part) -> Iterator[list[Any]]:
-    """Path in the metrics, value, its unit, as shown and meaning of each number of a part, goals last."""
-    for number in part.numbers:
-        spec = number.spec
-        yield [spec.path, number.value, UNITS[spec.unit].stored, number.text, spec.meaning]
-    for goal in part.goals:
-        place = goal["number"] - 1
-        for spec, value, text in goal["numbers"]:
-            meaning = f"{spec.meaning} Goal {goal['number']}, {goal['status']}."
-            yield [f"goals.{place}.{spec.path}", value, UNITS[spec.unit].stored, text, meaning]
+def _tables(chapter: Chapter) -> Iterator[tuple[str, Sequence[str], list[Sequence[str]], str]]:
+    """Name, head, rows and LaTeX's columns of each table of a world."""
+    for part in chapter.parts:
+        name, numbers = slug(part.stage.label), part.numbers
+        if numbers:
+            yield name, ("number", "value"), [(one.spec.label, one.text) for one in numbers], "lr"
+        if part.goals:
+            head = ("\\#", "goal", "reported", "truth", *(spec.label for spec in GOAL_NUMBERS))
+            goals: list[Sequence[str]] = [
+                [str(goal["number"]), goal["pose"], goal["status"], goal["truth"]]
+                + [text for _, _, text in goal["numbers"]]
+                for goal in part.goals
+            ]
+            yield f"{name}-goals", head, goals, "rlllrrr"
+    if chapter.systems is not None:
+        names = [latex(name) for name in chapter.systems.names]
+        lines: list[Sequence[str]] = [(row.spec.label, *row.texts) for row in chapter.systems.rows]
+        yield "systems", ["number", *names], lines, "l" + "r" * len(names)
 
 
 def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str) -> str:

@@ -81,7 +81,6 @@ def _print_outputs(found: Comparison) -> None:
 def _print_systems(found: SystemComparison) -> None:
     for name, note in found.notes:
         print(f"{name}: {note}")
-    rows = [row for _, _, rows in found.sections for row in rows]
-    texts = [(row.spec.label, *(cell.text for cell in row.cells), row.spec.evo) for row in rows]
+    texts = [(row.spec.label, *row.texts, row.spec.evo) for row in found.rows]
     print_table([("", *found.names, "evo"), *texts], left=(0, -1))
     print(found.sentence)
