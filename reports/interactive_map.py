@@ -20,17 +20,14 @@ PIXELS = {"occupied": 28, "unknown": 224, "free": 254}
 SPACING_M = 0.02
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class InteractiveMap:
     """What the template needs: image, its place, the view, the lines drawn over it, and goals with how they
     truly ended.
     """
 
     image: str
-    columns: int
-    rows: int
-    resolution: float
-    origin: tuple[float, float, float]
+    grid: OccupancyGrid
     view: str
     width_m: float
     lines: list[tuple[str, str, str]]
@@ -44,7 +41,6 @@ def interactive_map(
 ) -> InteractiveMap:
     """The map with paths (label -> (css class, poses)) and goals, ready for the template."""
     x0, x1, y0, y1 = _known_box(grid)
-    x, y, yaw = (float(value) for value in grid.T_map_grid.xyt)
     lines = [
         (label, kind, _points(path))
         for label, (kind, path) in paths.items()
@@ -56,10 +52,7 @@ def interactive_map(
     ]
     return InteractiveMap(
         image=_png(grid),
-        columns=grid.shape[1],
-        rows=grid.shape[0],
-        resolution=grid.resolution,
-        origin=(x, y, yaw),
+        grid=grid,
         view=f"{x0:.3f} {-y1:.3f} {x1 - x0:.3f} {y1 - y0:.3f}",
         width_m=x1 - x0,
         lines=lines,

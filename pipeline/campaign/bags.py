@@ -13,8 +13,8 @@ from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.datasets.urls import filesystem, is_local
 from turtlebag.pipeline.campaign.store import or_else
 
-RECORDED = (*SUFFIXES, ".clf", ".log")
 PACKED = ("", ".gz", ".bz2", ".zstd")
+RECORDED = tuple(kind + packed for kind in (*SUFFIXES, ".clf", ".log") for packed in PACKED)
 
 
 def find_bags(patterns: Sequence[str]) -> dict[str, str]:
@@ -59,13 +59,9 @@ def _below(files: Any, folder: str) -> dict[str, str]:
         whole = next((parent for parent in _parents(path, folder) if parent in wholes), None)
         if whole is not None:
             parts[whole].append(_version(info))
-        elif _is_recorded(path):
+        elif path.lower().endswith(RECORDED):
             bags[path] = _version(info)
     return bags | {whole: fingerprint(versions) for whole, versions in parts.items()}
-
-
-def _is_recorded(path: str) -> bool:
-    return any(path.lower().endswith(kind + packed) for kind in RECORDED for packed in PACKED)
 
 
 def _parent(path: str) -> str:

@@ -59,15 +59,13 @@ class Progress:
             self._failures = [*self._failures, row][-SHOWN:]
         value = row.get(self._result)
         if isinstance(value, (int, float)) and not isinstance(value, bool) and value > self._largest:
-            self._largest, self.worst = value, self._link(row, value)
+            case, stage = self._cases[row["case"]], self._campaign.results[self._result].at.partition(":")[0]
+            folder = kept_at(case, self._campaign, self._where.maker, stage)
+            label, unit = self._campaign.names[self._result]
+            self._largest = value
+            self.worst = Worst(row, label, value, unit, f"{folder}/metrics.json")
         if self._watch is not None and self._watch.seconds() - self._written_s > EVERY_S:
             self._write(self._watch.seconds())
-
-    def _link(self, row: Row, value: float) -> Worst:
-        case, stage = self._cases[row["case"]], self._campaign.results[self._result].at.partition(":")[0]
-        folder = kept_at(case, self._campaign, self._where.maker, stage)
-        label, unit = self._campaign.names[self._result]
-        return Worst(row, label, value, unit, f"{folder}/metrics.json")
 
     def _write(self, now_s: float) -> None:
         """The page, which a browser loads again every so often."""

@@ -106,12 +106,7 @@ def _save(made: Mapped, folder: Path, named: str | None) -> None:
 
 
 def _map_scans(
-    recordings: list[Recording],
-    config: SlamConfig,
-    earlier: Session | None,
-    edits: Edits,
-    *,
-    explain: bool,
+    recordings: list[Recording], config: SlamConfig, earlier: Session | None, edits: Edits, *, explain: bool
 ) -> Mapped:
     """Map planar scans, all of them or joined to an earlier map."""
     if earlier is not None:

@@ -66,12 +66,7 @@ class Query:
 
 
 def plan(
-    map_path: Path,
-    query: Query,
-    out: Output,
-    *,
-    config: PlanStageConfig | None = None,
-    compare: bool = False,
+    map_path: Path, query: Query, out: Output, *, config: PlanStageConfig | None = None, compare: bool = False
 ) -> int:
     """Plan from start to goal; 0 with a path, 1 without, both with complete outputs.
 

@@ -138,8 +138,8 @@ def test_the_map_under_the_mouse_is_the_one_that_was_driven_on(tmp_path):
     rehash(first, "map.pgm")
     run = fake_run(tmp_path / "run", given)
     group = Group("room", tuple(load_stage(folder) for folder in (record, first, given, run)))
-    assert interactive_map_of(group).rows == 108
-    assert interactive_map_of(Group("room", group.stages[:2])).rows == 90
+    assert interactive_map_of(group).grid.shape[0] == 108
+    assert interactive_map_of(Group("room", group.stages[:2])).grid.shape[0] == 90
 
 
 @pytest.mark.slow

@@ -229,12 +229,7 @@ class Localiser:
         with in_python():
             if self._localiser is None:
                 self._localiser = started(
-                    self._grid,
-                    scan.lidar,
-                    self._heard.T_base_lidar,
-                    self._told,
-                    self._config,
-                    self._rng,
+                    self._grid, scan.lidar, self._heard.T_base_lidar, self._told, self._config, self._rng
                 )
             self._localiser.update(scan, T_odom_base, T_odom_base_end)
         self._T_odom_base = T_odom_base
