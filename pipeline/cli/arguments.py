@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,14 @@ def output(args: argparse.Namespace) -> Output:
     from turtlebag.datasets.outputs import Output  # which `bag info` does without
 
     return Output(args.out, args.force, args.command_line)
+
+
+def refuse(args: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """InputError for the first of these options that is given."""
+    for name in names:
+        value = getattr(args, name)
+        if value is not None and value is not False and value != []:
+            raise InputError(f"--{'set' if name == 'settings' else name.replace('_', '-')}: {why}")
 
 
 def start_of(args: argparse.Namespace) -> SE2 | None:

@@ -6,11 +6,8 @@ import argparse
 import importlib
 import os
 import re
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cache
 from types import FrameType
 from typing import NoReturn
@@ -21,6 +18,7 @@ from turtlebag.datasets.output_lock import lock_output, release_all
 from turtlebag.pipeline.cli.arguments import named_inputs
 from turtlebag.pipeline.cli.parser import RENAMED, Parser, add_action
 from turtlebag.pipeline.setup.missing_package import missing_package
+from turtlebag.pipeline.terminal.interrupts import handled
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
 
 # The line of `turtlebag --help` for each verb. A verb's module here has `EXAMPLE`, `add_arguments(parser)`
@@ -113,27 +111,6 @@ def _stop(number: int, frame: FrameType | None) -> NoReturn:
     os._exit(128 + number)
 
 
-@contextmanager
-def _stopping_cleanly() -> Iterator[None]:
-    """Handle Ctrl-C and SIGTERM by `_stop`, unless they have a handler already."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    mine = [
-        number
-        for number, handler in before.items()
-        if handler in (signal.default_int_handler, signal.SIG_DFL)
-    ]
-    for number in mine:
-        signal.signal(number, _stop)
-    try:
-        yield
-    finally:
-        for number in mine:
-            signal.signal(number, before[number])
-
-
 def _run(args: argparse.Namespace, stdout: Words) -> int:
     """Run a command that is parsed, holding the lock of its output if it has one."""
     set_verbosity(args.verbosity)
@@ -155,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = argparse.Namespace()
     with guarded_streams() as stdout:
         try:
-            with _stopping_cleanly():
+            with handled(_stop, unless_handled=True):
                 if "" in argv:
                     before = "".join(f" after {word}" for word in argv[: argv.index("")][-1:])
                     raise InputError(f"empty argument{before}; is a shell variable unset?")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.cli.arguments import count, initial_pose, output, pose, positive, start_of
+from turtlebag.pipeline.cli.arguments import count, initial_pose, output, pose, positive, refuse, start_of
 from turtlebag.pipeline.cli.parser import OrOwn, Parser
 
 EXAMPLE = (
@@ -108,14 +107,11 @@ def _refuse_unused(args: argparse.Namespace) -> None:
     """InputError for the first given option that the task does not use; a user's own task may use any."""
     if args.task not in TASKS:
         return
-    given = [name for name in TAKEN_BY if getattr(args, name) not in (None, False)]
-    for name in given:
-        option = f"--{name.replace('_', '-')}"
-        if args.task not in TAKEN_BY[name]:
-            takers = " and ".join(TAKEN_BY[name])
-            raise InputError(f"{option}: not for --task {args.task}, only for {takers}; remove it")
+    for name, tasks in TAKEN_BY.items():
+        if args.task not in tasks:
+            refuse(args, [name], f"not for --task {args.task}, only for {' and '.join(tasks)}; remove it")
         if args.task == "goal" and args.map is None and name in ON_A_MAP:
-            raise InputError(f"{option}: needs a map; give --map or remove it")
+            refuse(args, [name], "needs a map; give --map or remove it")
 
 
 def _keepout(text: str | None) -> tuple[Array, ...] | None:

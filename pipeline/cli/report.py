@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import output
+from turtlebag.pipeline.cli.arguments import output, refuse
 from turtlebag.pipeline.cli.other_systems import add_system_options, existing_files, systems_named
 from turtlebag.pipeline.cli.parser import Parser
 
@@ -41,9 +40,7 @@ def make(args: argparse.Namespace) -> Path:
     from turtlebag.pipeline.stages.report import make_index, make_report
 
     if args.index:
-        for name in ("paper", "no_animation", "system"):
-            if getattr(args, name):
-                raise InputError(f"--{name.replace('_', '-')}: has no effect with --index; remove it")
+        refuse(args, ("paper", "no_animation", "system"), "has no effect with --index; remove it")
         return make_index(args.folders, output(args))
     others, animate = systems_named(args.system, args), not args.no_animation
     return make_report(args.folders, output(args), others=others, animate=animate, paper=args.paper)

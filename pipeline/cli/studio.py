@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.cli.arguments import output, seed
+from turtlebag.pipeline.cli.arguments import output, refuse, seed
 from turtlebag.pipeline.cli.parser import Parser
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 
     setup: StudioSetup | BagSetup
     if args.bag is not None:
-        _refuse(args, SIMULATED, "cannot be used with --bag, where nothing is simulated; remove it")
+        refuse(args, SIMULATED, "cannot be used with --bag, where nothing is simulated; remove it")
         setup = BagSetup(args.bag)
         words: tuple[str, ...] = (args.bag.name,)
     else:
@@ -86,9 +86,9 @@ def _live(
 ) -> int:
     import asyncio
 
-    from turtlebag.pipeline.stages.record import deferred_interrupt
     from turtlebag.pipeline.stages.studio import studio_output
     from turtlebag.pipeline.studio.server import serve
+    from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
     from turtlebag.pipeline.terminal.messages import log, say
 
     def ready() -> None:
@@ -118,17 +118,10 @@ def _replay(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.studio import replay
     from turtlebag.pipeline.terminal.messages import log
 
-    _refuse(args, LIVE, "cannot be used with --replay, which takes it from the session; remove it")
+    refuse(args, LIVE, "cannot be used with --replay, which takes it from the session; remove it")
     if args.out is None:
         raise InputError("--replay: needs --out DIR, the folder to write the session to")
     return replay(args.replay, output(args), say=log.info)
-
-
-def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
-    """InputError for options that exclude each other."""
-    for name in options:
-        if getattr(args, name) not in (None, []):
-            raise InputError(f"{'--set' if name == 'settings' else '--' + name.replace('_', '-')}: {why}")
 
 
 def _free_folder(words: Sequence[str]) -> Path:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import count, output
+from turtlebag.pipeline.cli.arguments import count, output, refuse
 from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
@@ -28,9 +28,8 @@ def add_arguments(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the campaign and print its page's path, or answer a query."""
     if args.query is not None:
-        for name in ("out", "force", "store", "scheduler", "workers"):
-            if getattr(args, name):
-                raise InputError(f"--{name}: cannot be used with --query; remove it")
+        running = ("out", "force", "store", "scheduler", "workers")
+        refuse(args, running, "cannot be used with --query; remove it")
         return _answer(args.campaign, args.query)
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")

@@ -19,7 +19,8 @@ from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, Missi
 from turtlebag.pipeline.navigation.episode import Audience, drive
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.teleop_override import Source, script_text
-from turtlebag.pipeline.stages.record import deferred_interrupt, save_truth
+from turtlebag.pipeline.stages.record import save_truth
+from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
 from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
 from turtlebag.planners.costmap import polygon_mask
 from turtlebag.sim.robots import RobotSpec

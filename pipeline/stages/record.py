@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import seconds
@@ -20,6 +17,7 @@ from turtlebag.datasets.types import Observation, Trajectory, Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.bag_commands import is_recording, replayed
+from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
 from turtlebag.sim.script_driver import Stuck
@@ -189,23 +187,3 @@ def _drive(
         observation = simulator.step(command)
     bag.command(observation.stamp_ns, Twist())
     return trajectory_of(truth), seconds(observation.stamp_ns), stuck
-
-
-@contextmanager
-def deferred_interrupt() -> Iterator[list[int]]:
-    """Ctrl-C or SIGTERM within is put in the list instead of raising: no message is cut in the middle."""
-    received: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    try:
-        before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # not in the main thread: signals are not ours to catch
-        yield received
-        return
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -14,13 +14,13 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.teleop_override import Script
 from turtlebag.pipeline.slam.slam import SlamConfig
-from turtlebag.pipeline.stages.record import deferred_interrupt
 from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import Drive, Input, Plain
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup, setup_of
+from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 
 
