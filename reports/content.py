@@ -13,7 +13,7 @@ from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.interactive_map import InteractiveMap, interactive_map
 from turtlebag.reports.metric_specs import GOAL_NUMBERS, PICTURE_SOURCES, Section
 from turtlebag.reports.metrics.navigation import goal_counts, outcome, truly_reached
-from turtlebag.reports.metrics.recording import recording_metrics
+from turtlebag.reports.metrics.trajectory import recording_metrics
 from turtlebag.reports.numbers import DASH, Number, files_of, lookup, other_values, sections_of, shown
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage

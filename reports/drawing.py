@@ -15,8 +15,6 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.figures import animation, maps, runs, series
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.figures.cloud import cloud_from_above
-from turtlebag.reports.figures.graph import pose_graph
 from turtlebag.reports.figures.particles import particles
 from turtlebag.reports.g2o import read_g2o, read_loops
 from turtlebag.reports.metrics.navigation import collision_episodes
@@ -83,7 +81,7 @@ def _add_cloud(stage: Stage, album: Album) -> None:
         "The 3D map from above, showing the highest point at each place. Walls should be thin lines and the "
         "floor one colour. A floor that changes colour is bent; a wall that appears twice was not recognised."
     )
-    album.add("cloud", "Point cloud", caption, cloud_from_above, points)
+    album.add("cloud", "Point cloud", caption, maps.cloud_from_above, points)
 
 
 def _add_mapping_animation(
@@ -115,7 +113,7 @@ def _add_graph(stage: Stage, grid: OccupancyGrid | None, album: Album) -> None:
     if len(pairs):
         middle, worst = shown(float(np.median(residual_m)), "cm"), shown(float(residual_m.max()), "cm")
         caption += f". Residual of a loop: median {middle}, largest {worst}"
-    album.add("graph", "Pose graph", caption + ".", pose_graph, graph, grid, record)
+    album.add("graph", "Pose graph", caption + ".", maps.pose_graph, graph, grid, record)
 
 
 def _add_errors(album: Album, slam: Trajectory, odometry: Trajectory | None, truth: Trajectory) -> None:

@@ -40,7 +40,7 @@ def _list(args: argparse.Namespace) -> int:
 
 def _show(args: argparse.Namespace) -> int:
     from turtlebag.datasets.outputs import staged_file
-    from turtlebag.reports.figures.world import draw_world
+    from turtlebag.reports.figures.maps import draw_world
     from turtlebag.sim.robots import load_robot
     from turtlebag.sim.worlds import load_world
 

@@ -21,9 +21,8 @@ from turtlebag.pipeline.stages.map_summary import loop_counts
 from turtlebag.planners.tasks.waypoints import load_waypoints, tutorial_patrol
 from turtlebag.reports.g2o import read_g2o, read_loops
 from turtlebag.reports.metrics.navigation import Floor, Goal, goal_counts, localisation_errors, run_metrics
-from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.metrics.references import References
-from turtlebag.reports.metrics.trajectory import associate
+from turtlebag.reports.metrics.trajectory import associate, recording_metrics
 from turtlebag.reports.numbers import leaves
 from turtlebag.reports.provenance import rename
 from turtlebag.reports.stages import Group, Stage

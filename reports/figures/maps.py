@@ -1,8 +1,9 @@
-"""Maps and what was driven on them."""
+"""Maps, and what is drawn on them: paths, pose graphs, what a lidar cannot see."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, cast
 
 import matplotlib
@@ -10,20 +11,24 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures import style
+from turtlebag.reports.g2o import LoopRecord, PoseGraph
 from turtlebag.reports.metrics.map import map_error, occupied
 
 Box = tuple[float, float, float, float]
 ERROR_SCALE_M = 0.10
 MARGIN_M = 0.3
+MOST_PIXELS = 900
 
 
 def view_box(grid: OccupancyGrid | None, trajectories: Sequence[Trajectory | None] = ()) -> Box:
@@ -153,6 +158,76 @@ def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     figure.legend(loc="outside lower center", ncol=3, fontsize=8.5)
     figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(tracks) // 3))
     return figure
+
+
+def cloud_from_above(points: Array) -> Figure:
+    """The highest of the points (n, 3) in each pixel, by its height over the lowest [m]."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    pixel = max(float((high - low)[:2].max()) / MOST_PIXELS, 0.04)
+    box = (low[0] - MARGIN_M, high[0] + MARGIN_M, low[1] - MARGIN_M, high[1] + MARGIN_M)
+    figure, axes = map_figure(box, bar=True)
+    image = heights(points, low[:2], pixel)
+    floor, top = np.percentile(points[:, 2], [1.0, 99.5])
+    norm = Normalize(0.0, max(float(top - floor), 0.1))
+    colours = matplotlib.colormaps["viridis"].with_extremes(bad=(0.0, 0.0, 0.0, 0.0))
+    extent = (low[0], low[0] + pixel * image.shape[1], low[1], low[1] + pixel * image.shape[0])
+    shown = np.ma.masked_invalid(image - floor)
+    artist = axes.imshow(
+        shown, origin="lower", extent=extent, cmap=colours, norm=norm, interpolation="nearest"
+    )
+    add_scale(axes, artist, "height [m]")
+    return figure
+
+
+def heights(points: Array, corner: Array, pixel: float) -> Array:
+    """Greatest z in each pixel, (rows, cols) from the corner (2,); NaN where there is no point."""
+    cols, rows = np.floor((points[:, :2] - corner) / pixel).astype(np.int64).T
+    image = np.full((int(rows.max()) + 1, int(cols.max()) + 1), -np.inf)
+    np.maximum.at(image, (rows, cols), points[:, 2])
+    return np.where(np.isfinite(image), image, np.nan)
+
+
+def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord) -> Figure:
+    """Keys in order as a thin line, loops as lines from blue (agrees) to orange (strained)."""
+    keys = Trajectory.untimed(graph.T_map_keys)
+    figure, axes = faint_map(grid, [keys], bar=True)
+    axes.plot(keys.poses.x, keys.poses.y, "-", color=style.MUTED, linewidth=0.8, zorder=2)
+    axes.plot(keys.poses.x, keys.poses.y, ".", color=style.MUTED, markersize=3, zorder=3)
+    pairs, residual_m = record.kept(len(keys))
+    order = np.argsort(residual_m, kind="stable")
+    norm = Normalize(0.0, 100.0 * ERROR_SCALE_M)
+    lines = LineCollection(list(keys.poses.xy[pairs[order]]), cmap=style.FINE_TO_BAD, norm=norm, zorder=4)
+    lines.set(linewidths=1.8, alpha=0.8, rasterized=len(order) > 1500, array=100.0 * residual_m[order])
+    axes.add_collection(lines)
+    add_scale(axes, ScalarMappable(norm, style.FINE_TO_BAD), "residual of the loop [cm]", extend="max")
+    return figure
+
+
+def draw_world(
+    path: Path,
+    title: str,
+    grid: OccupancyGrid,
+    spawn: SE2,
+    hidden: Sequence[tuple[Array, tuple[float, float], float]],
+    keepout: Sequence[Array] = (),
+) -> None:
+    """Write a PNG.
+
+    `hidden` are solids below the robot's height that the lidar plane misses: outline (n, 2) or, for a
+    cylinder, an empty outline with centre and radius. `keepout` are outlines (n, 2). All in metres.
+    """
+    with style.styled():
+        figure, axes = map_figure(grid.extent())
+        draw_grid(axes, grid)
+        for outline, center, radius in hidden:
+            patch = Circle(center, radius) if radius > 0.0 else Polygon(outline)
+            patch.set(facecolor=style.ODOMETRY, edgecolor=style.ODOMETRY, alpha=0.7)
+            axes.add_patch(patch)
+        for outline in keepout:
+            axes.add_patch(Polygon(outline, fill=False, edgecolor=style.INK, linestyle="--"))
+        draw_start(axes, spawn)
+        axes.set_title(title)
+        style.save_png(figure, path)
 
 
 def legend_above(axes: Axes, handles: Sequence[Artist] | None = None) -> None:
