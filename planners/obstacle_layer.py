@@ -60,7 +60,7 @@ class ObstacleLayer:
         static, c = self.static, self.marking
         x, y = (static.T_grid_map @ origin.xy).tolist()
         ends = static.T_grid_map @ np.concatenate([hits, passes])
-        beams = Beams(x, y, ends, len(hits), c.obstacle_range, c.known)
+        beams = GridBeams(x, y, ends, len(hits), c.obstacle_range, c.known)
         _mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
         marked = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
         self._hits[self._seen <= now_s - c.decay] = 0
@@ -110,7 +110,7 @@ class ObstacleLayer:
         return combined
 
 
-class Beams(NamedTuple):
+class GridBeams(NamedTuple):
     """A sweep in the grid frame: where it was taken, and the ends (n, 2) of beams, those that hit first."""
 
     x: float
@@ -127,7 +127,7 @@ def _mark_and_clear(
     hits: NDArray[np.int16],
     clearance: NDArray[np.float32],
     resolution: float,
-    beams: Beams,
+    beams: GridBeams,
     now_s: float,
 ) -> None:
     """Walk along each beam in half-cell steps and clear; then mark its end, unless it is an obstacle of the
@@ -143,7 +143,7 @@ def _mark_and_clear(
         stop = length - (1.5 * resolution if k < n_hits else 0.0)
         t = 0.0
         while t < stop:
-            col, row = int((x + t * ux) / resolution), int((y + t * uy) / resolution)
+            col, row = math.floor((x + t * ux) / resolution), math.floor((y + t * uy) / resolution)
             if 0 <= row < rows and 0 <= col < cols and seen[row, col] < now_s:
                 seen[row, col] = NEVER
                 hits[row, col] = 0
@@ -151,10 +151,8 @@ def _mark_and_clear(
     for k in range(n_hits):
         if math.hypot(ends[k, 0] - x, ends[k, 1] - y) > obstacle_range:
             continue
-        col, row = int(ends[k, 0] / resolution), int(ends[k, 1] / resolution)
-        if ends[k, 0] < 0.0 or ends[k, 1] < 0.0 or row >= rows or col >= cols:
-            continue
-        if clearance[row, col] > known:
+        col, row = math.floor(ends[k, 0] / resolution), math.floor(ends[k, 1] / resolution)
+        if 0 <= row < rows and 0 <= col < cols and clearance[row, col] > known:
             if seen[row, col] < now_s:
                 hits[row, col] = min(hits[row, col] + 1, 1000)
             seen[row, col] = now_s

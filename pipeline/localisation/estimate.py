@@ -29,7 +29,6 @@ class Estimate:
     T_map_base: SE2
     core: Array
     covariance: Array
-    weight: float  # of the main cluster
 
 
 def narrow(covariance: Array) -> bool:
@@ -56,7 +55,7 @@ def main_cluster(poses: Array, weights: Array) -> Estimate:
     mass, mean, core = best
     everything = 1.0 - mass < 1e-9
     covariance = core if everything else moments(poses, weights, mean, np.inf, np.inf)[2]
-    return Estimate(SE2.from_array(mean), core + LEAST_VARIANCE * np.eye(3), covariance, mass)
+    return Estimate(SE2.from_array(mean), core + LEAST_VARIANCE * np.eye(3), covariance)
 
 
 def settled(poses: Array, weights: Array, mean: Array) -> tuple[float, Array, Array]:

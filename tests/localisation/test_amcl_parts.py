@@ -44,7 +44,7 @@ def test_a_cloud_is_drawn_about_the_pose_it_was_told():
     np.testing.assert_allclose(np.cov((filter_.particles.xyt - told.xyt).T), given, atol=5e-4)
     with pytest.raises(ValueError, match="no pose yet"):
         _ = filter_.covariance
-    filter_._at.estimate = Estimate(told, np.eye(3), 2.0 * np.eye(3), 1.0)
+    filter_._at.estimate = Estimate(told, np.eye(3), 2.0 * np.eye(3))
     np.testing.assert_array_equal(filter_.covariance, 2.0 * np.eye(3))
 
 
@@ -60,7 +60,7 @@ def test_a_cloud_is_drawn_about_the_pose_it_was_told():
 )
 def test_a_cloud_has_converged_when_it_is_narrow_in_place_and_heading(std, converged):
     filter_ = made()
-    filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.diag(np.square(std)), 1.0)
+    filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.diag(np.square(std)))
     assert filter_.converged == converged
     assert filter_.lost == (not converged)
     filter_.watch.fast = 0.5 * filter_.watch.slow
@@ -143,7 +143,7 @@ def test_weights_are_multiplied_by_the_sensors_while_it_agrees_and_by_the_paths_
     for lost in (True, False):
         filter_._cloud.weights = before / before.sum()
         if not lost:
-            filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.zeros((3, 3)), 1.0)
+            filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.zeros((3, 3)))
         assert filter_.lost == lost
         source = filter_.search.log_likelihood if lost else filter_._sensor.weigh
         expected = np.log(before) + source(filter_.particles.xyt, beams)

@@ -80,8 +80,8 @@ def test_a_hypothesis_stays_while_its_mean_of_six_is_close():
 
 
 def test_the_fine_pose_agrees_with_a_cloud_within_its_reach():
-    narrow = Estimate(SE2.from_xyt(1.0, 2.0, 3.1), 1e-6 * np.eye(3), np.eye(3), 1.0)
-    wide = Estimate(narrow.T_map_base, np.diag([0.01, 0.04, 0.0025]), np.eye(3), 1.0)
+    narrow = Estimate(SE2.from_xyt(1.0, 2.0, 3.1), 1e-6 * np.eye(3), np.eye(3))
+    wide = Estimate(narrow.T_map_base, np.diag([0.01, 0.04, 0.0025]), np.eye(3))
     for offset, cloud, agrees in (
         ((0.149, 0.149, 0.099), narrow, True), ((0.151, 0, 0), narrow, False),
         ((0, -0.151, 0), narrow, False),
@@ -103,33 +103,33 @@ def test_the_trust_in_odometry_follows_the_scans_nis():
             fine._learn(nis)
         assert fine._share == end
     for std, started in ((0.149, True), (0.151, False)):
-        cloud = Estimate(PLACE, np.diag([1e-4, std**2, 1e-4]), np.eye(3), 1.0)
+        cloud = Estimate(PLACE, np.diag([1e-4, std**2, 1e-4]), np.eye(3))
         assert (fine._started(cloud) is not None) == started
-    tracked = fine._started(Estimate(PLACE, 1e-4 * np.eye(3), np.eye(3), 1.0))
+    tracked = fine._started(Estimate(PLACE, 1e-4 * np.eye(3), np.eye(3)))
     np.testing.assert_allclose(tracked.T_map_base.xyt, PLACE.xyt)
 
 
 def test_where_even_a_new_start_disagrees_the_clouds_mean_is_told(monkeypatch):
     monkeypatch.setattr(fine_pose, "_agree", lambda pose, cloud: False)
     off = PLACE @ SE2.from_xyt(0.03, -0.02, 0.02)
-    cloud = Estimate(off, 1e-3 * np.eye(3), np.eye(3), 1.0)
+    cloud = Estimate(off, 1e-3 * np.eye(3), np.eye(3))
     assert FinePose(GRID).correct(cloud, beams_at(PLACE).points) is cloud.T_map_base
 
 
 def test_the_fine_pose_is_matched_with_the_first_scan_already_and_starts_again_where_it_disagrees():
     fine, points = FinePose(GRID), beams_at(PLACE).points
     off = PLACE @ SE2.from_xyt(0.03, -0.02, 0.02)
-    cloud = Estimate(off, np.diag([1e-3, 1e-3, 1e-3]), np.eye(3), 1.0)
+    cloud = Estimate(off, np.diag([1e-3, 1e-3, 1e-3]), np.eye(3))
     found = PLACE.inverse() @ fine.correct(cloud, points)
     assert np.hypot(found.x, found.y) < 0.015
     assert abs(float(found.yaw)) < 0.008
     tracked = fine._filter
     fine.correct(cloud, points)
     assert fine._filter is tracked
-    far = Estimate(PLACE @ SE2.from_xyt(0.5, 0.0, 0.0), cloud.core, np.eye(3), 1.0)
+    far = Estimate(PLACE @ SE2.from_xyt(0.5, 0.0, 0.0), cloud.core, np.eye(3))
     fine.correct(far, points)
     assert fine._filter is not tracked
-    wide = Estimate(off, np.eye(3), np.eye(3), 1.0)
+    wide = Estimate(off, np.eye(3), np.eye(3))
     fine.forget()
     assert fine.correct(wide, points) is off
     assert fine._filter is None

@@ -52,7 +52,6 @@ def test_a_cluster_is_settled_on_its_mean_from_its_edge():
     np.testing.assert_allclose(mean, poses[:400].mean(axis=0), atol=2e-4)
     np.testing.assert_allclose(core, np.cov(poses[:400].T, bias=True), atol=1e-3)
     found = estimate.main_cluster(poses, weights)
-    assert found.weight == pytest.approx(0.8)
     np.testing.assert_allclose(found.core, core + 1e-6 * np.eye(3), atol=1e-6)
     np.testing.assert_allclose(wrapped(found.T_map_base.xyt - mean), 0.0, atol=2e-4)
     whole = estimate.moments(poses, weights, found.T_map_base.xyt, np.inf, np.inf)[2]
@@ -79,7 +78,6 @@ def test_the_heaviest_cluster_wins_though_the_heaviest_bin_is_another_s():
     poses = np.vstack([np.repeat(corners, 15, axis=0), np.tile([2.1, 2.1, 0.1], (40, 1))])
     found = estimate.main_cluster(poses, np.full(100, 0.01))
     np.testing.assert_allclose(found.T_map_base.xyt, [0.0, 0.0, 0.1], atol=1e-9)
-    assert found.weight == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("seed", range(3))

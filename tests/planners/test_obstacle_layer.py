@@ -11,7 +11,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import SNAP_M, Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
-from turtlebag.planners.obstacle_layer import NEVER, Beams, Marking, ObstacleLayer, _mark_and_clear
+from turtlebag.planners.obstacle_layer import NEVER, GridBeams, Marking, ObstacleLayer, _mark_and_clear
 from turtlebag.planners.rolling_costmap import (
     RIM_M,
     RollingLayer,
@@ -39,7 +39,8 @@ def plain_sweep(seen, hits, clearance, x, y, ends, is_hit, now, obstacle_range, 
             continue
         stop = length - 1.5 * RES if hit else length
         for t in np.arange(0, max(0, math.ceil(stop / (0.5 * RES) - 1e-9))) * 0.5 * RES:
-            col, row = int((x + t * (ex - x) / length) / RES), int((y + t * (ey - y) / length) / RES)
+            col = math.floor((x + t * (ex - x) / length) / RES)
+            row = math.floor((y + t * (ey - y) / length) / RES)
             if 0 <= row < rows and 0 <= col < cols and seen[row, col] < now:
                 seen[row, col], hits[row, col] = NEVER, 0
     for (ex, ey), hit in zip(ends, is_hit, strict=True):
@@ -62,7 +63,7 @@ def test_sweeps_mark_and_clear_as_a_plain_loop_does(seed):
         x, y = rng.uniform(0.3, [3.1, 2.3])
         ends = np.vstack([rng.uniform(-1.0, [4.4, 3.6], (40, 2)), [[x, y]]])
         n_hits = int(rng.integers(15, 35))
-        _mark_and_clear(seen, hits, clearance, RES, Beams(x, y, ends, n_hits, 1.4, 0.14), now)
+        _mark_and_clear(seen, hits, clearance, RES, GridBeams(x, y, ends, n_hits, 1.4, 0.14), now)
         plain_sweep(*expected, clearance, x, y, ends, np.arange(41) < n_hits, now, 1.4, 0.14)
         np.testing.assert_array_equal(seen, expected[0])
         np.testing.assert_array_equal(hits, expected[1])
