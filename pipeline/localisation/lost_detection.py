@@ -22,11 +22,11 @@ NOMINAL_AGREEMENT = 0.8
 DOUBTFUL = 0.25
 # A single scan may be noise: this many in a row are not, and this many settle a question (not measured).
 DOUBTS, SETTLING = 2, 6
-# The most filter updates from one unsuccessful search to the next; with 64, or 24 where the agreement has
-# faded, 13 episodes of lost robots are found in the same times.
-LONGEST_PAUSE = 32
-# An agreement below this share of the best so far is a reason for another search: without it, a robot
-# kidnapped in the house noticed later and was at its goal after 94 s instead of 71 s.
+# Filter updates from one unsuccessful search to the next; with 64, or 24 where the agreement has faded, 13
+# episodes of lost robots are found in the same times.
+PAUSE = 32
+# An agreement below this share of the best so far is a reason for a search: without it, a robot kidnapped in
+# the house noticed later and was at its goal after 94 s instead of 71 s.
 FADED = 0.9
 
 
@@ -42,7 +42,7 @@ class AgreementWatch:
         self.best = 0.0
         """The highest fast average so far."""
         self._config = config
-        self._next_search, self._pause = 0, 1
+        self._next_search = 0
 
     def update(self, agreement: float) -> None:
         """Add the agreement 0..1 of a scan at the new estimate."""
@@ -64,24 +64,17 @@ class AgreementWatch:
         return share if share >= DOUBTFUL else 0.0
 
     def search_share(self) -> float:
-        """Share of particles to draw from a search now: all after a global start, then at intervals while
-        lost.
+        """Share of particles to draw from a search now: all after a global start, then at intervals where
+        scans agree less than they once did.
 
-        After an unsuccessful search the interval doubles, so that a place that does not look like the map (a
-        moved wardrobe) does not cost a search per scan. Where nothing seems wrong but scans agree less than
-        they once did, there is another search now and then: at an alias of the true place almost everything
-        agrees, and only a search shows that the true one agrees better.
+        At an alias of the true place almost everything agrees, and only a search shows that the true one
+        agrees better. At intervals, so that a place that does not look like the map (a moved wardrobe) does
+        not cost a search per scan.
         """
         if self.anywhere:
             return 1.0
         share = self.random_share()
-        lost = share > 0.0
-        if not lost:
-            self._pause = 1
-            share = DOUBTFUL if self.fast < FADED * self.best else 0.0
-        if share == 0.0 or self.updates < self._next_search:
+        if (share == 0.0 and self.fast >= FADED * self.best) or self.updates < self._next_search:
             return 0.0
-        self._next_search = self.updates + (self._pause if lost else LONGEST_PAUSE)
-        if lost:
-            self._pause = min(2 * self._pause, LONGEST_PAUSE)
-        return share
+        self._next_search = self.updates + PAUSE
+        return share or DOUBTFUL
