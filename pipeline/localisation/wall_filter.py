@@ -26,7 +26,7 @@ from turtlebag.pipeline.localisation.surfaces import Indices, Surfaces
 # say in a scan (any number: the house 1.13 cm off for 0.92), and how far from where its cells are a wall may
 # stand (standard deviation: that of anywhere within half a cell).
 MATCH_SCALE_M, BEAM_STD_M, PATCH_BEAMS, OFFSET_CELLS = 0.03, 0.012, 4.0, 0.14
-# Walls kept in the state, for the sake of time; beyond, the one longest out of sight is forgotten.
+# Walls kept in the state, for the sake of time; beyond, those out of sight are forgotten.
 MAX_WALLS = 150
 # States before the walls': the pose (x, y, yaw), then odometry's errors: share of distance, share of turn,
 # and turn by distance [rad/m]; their standard deviations beforehand, and what they gain in a metre.
@@ -57,9 +57,7 @@ class WallFilter:
         self._P[:POSE, :POSE] = turn @ covariance @ turn.T
         self._P[range(POSE, FIXED), range(POSE, FIXED)] = ODOMETRY_STD**2
         self._walls = np.zeros(0, dtype=np.int32)  # patch of each offset in the state
-        self._last_seen = np.zeros(0, dtype=np.int64)
         self._place = np.full(surfaces.patches, -1, dtype=np.int64)  # of a patch in the list of walls
-        self._scans = 0
 
     @property
     def T_map_base(self) -> SE2:
@@ -75,7 +73,6 @@ class WallFilter:
 
         A great one is a slip of the wheels: then odometry is not believed and the scan is taken in anew.
         """
-        self._scans += 1
         sums, right = self._match(self._x[:POSE], self._offsets(), points_base)
         # Walls come and go before the state is kept: a wall forgotten meanwhile would shift those after it.
         seen = self._admit(np.flatnonzero(sums[:, 9] > 0.0).astype(np.int32))
@@ -128,18 +125,15 @@ class WallFilter:
             ) ** 2
             self._P, self._x = P, np.concatenate([self._x, np.zeros(more)])
             self._walls = np.concatenate([self._walls, new])
-            self._last_seen = np.concatenate([self._last_seen, np.zeros(more, dtype=np.int64)])
             self._place[new] = np.arange(size - FIXED, size - FIXED + more)
-        self._last_seen[self._place[seen]] = self._scans
         if len(self._walls) > MAX_WALLS:
-            self._forget_longest_unseen(max(MAX_WALLS, len(seen)))
+            self._forget_all_but(self._place[seen])
         return self._place[seen]
 
-    def _forget_longest_unseen(self, most: int) -> None:
-        kept = np.sort(np.argsort(-self._last_seen, kind="stable")[:most])
+    def _forget_all_but(self, kept: NDArray[np.int64]) -> None:
         states = np.concatenate([range(FIXED), FIXED + kept])
         self._x, self._P = self._x[states], self._P[states][:, states].copy()
-        self._walls, self._last_seen = self._walls[kept], self._last_seen[kept]
+        self._walls = self._walls[kept]
         self._place[:] = -1
         self._place[self._walls] = np.arange(len(self._walls))
 

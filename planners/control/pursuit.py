@@ -59,12 +59,8 @@ class Pursuit(Ramped):
         same_goal = self._goal == (x, y, yaw)
         self._goal = (x, y, yaw)
         self._s = 0.0
-        if same_goal and self.state == "follow":
-            # A new path while driving: no stop, unless it leads elsewhere.
-            return
-        # A path of some length means that the robot is not at the goal after all.
-        near = len(self._lengths) > 0 and self._lengths[-1] < LOOKAHEAD_M[1]
-        if not (same_goal and near and self.state in ("settle", "align", "arrived")):
+        # A new path while driving: no stop, unless it leads elsewhere.
+        if not (same_goal and self.state == "follow"):
             self.state = "turn"
 
     def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:

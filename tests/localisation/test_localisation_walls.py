@@ -37,9 +37,8 @@ def test_a_wall_has_one_offset_however_often_it_is_seen_and_keeps_it_when_others
     track._x[FIXED:] = 0.01, 0.02, 0.03
     assert track._offsets()[:4].tolist() == [0.01, 0.03, 0.02, 0.0]
     monkeypatch.setattr("turtlebag.pipeline.localisation.wall_filter.MAX_WALLS", 2)
-    track._scans = 1
-    assert track._admit(np.array([1], dtype=np.int32)).tolist() == [1]
-    assert track._offsets()[:4].tolist() == [0.01, 0.03, 0.0, 0.0]
+    assert track._admit(np.array([1], dtype=np.int32)).tolist() == [0]
+    assert track._offsets()[:4].tolist() == [0.0, 0.03, 0.0, 0.0]
 
 
 @pytest.mark.slow

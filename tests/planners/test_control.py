@@ -227,6 +227,7 @@ def test_pursuit_that_was_settling_turns_to_the_path_when_it_is_elsewhere():
     pursuit.command(near[3], Twist(), big_room())
     assert pursuit.state == "settle"
     pursuit.set_path(near)
+    pursuit.command(near[3], Twist(), big_room())
     assert pursuit.state == "settle"
     # The same goal, and the robot finds that it is four metres from it.
     pursuit.set_path(far)
