@@ -9,7 +9,7 @@ import pytest
 from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import Twist
-from turtlebag.planners.control.collision_monitor import CollisionMonitor, free_time, moved, padded
+from turtlebag.planners.control.collision_monitor import CollisionMonitor, free_time, padded
 from turtlebag.planners.control.controller import Ramped, SpeedLimits, ramped
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.pursuit import (
@@ -110,9 +110,7 @@ def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
         (line(), "follow", line(2.0), "follow"),
         (line(), "follow", line(1.0, 6.1), "turn"),
         (line(), "settle", line(), "turn"),
-        (line(), "align", line(5.6, 6.0), "align"),
-        (line(), "arrived", line(5.42, 6.0), "arrived"),
-        (line(), "settle", line(5.38, 6.0), "turn"),
+        (line(), "settle", line(5.9, 6.0), "turn"),
         (line(), "align", line(5.7, 6.1), "turn"),
     ):
         pursuit = Pursuit(PROMPT, DT)
@@ -259,15 +257,3 @@ def test_the_monitor_allows_the_speed_that_stops_within_the_free_way(v, w):
     assert factors[-1] == 1.0 > factors[0]
     assert monitor.limit(Twist(), points) == 1.0
     assert monitor.limit(Twist(v, w), points[:0]) == 1.0
-    # beside a wall on the map: what ends in it is stopped, unless it gets freer
-    for x in (0.9, 1.0, 1.03, 1.06, 1.1):
-        lethal = np.zeros((40, 60), dtype=bool)
-        lethal[:, 24] = True
-        field = Costmap(lethal, 0.05, SE2.identity()).clearance
-        s = monitor._samples
-        clear = lambda p: footprint_clearance(field, 0.05, s, *p)  # noqa: B023, E731
-        at = (x, 1.0, 0.2)
-        rooms = [clear(moved(*at, v, w, part * horizon)) for part in (0.5, 1.0)]
-        stops = any(r <= 0.0 and r < clear(at) for r in rooms)
-        assert monitor.limit_on_map(Twist(v, w), field, 0.05, *at) == (0.0 if stops else 1.0)
-    assert monitor.limit_on_map(Twist(), field, 0.05, 1.21, 1.0, 0.0) == 1.0
