@@ -55,12 +55,6 @@ class Physics:
         self._com = tuple(float(value) for value in composite(robot.parts)[1])
         self._forces = [robot.wheels.torque] * 2
 
-    def __enter__(self) -> Physics:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
         """Disconnect from Bullet; closing twice is harmless."""
         if self._client >= 0:

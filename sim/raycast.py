@@ -33,17 +33,15 @@ def _to_segment(ox: float, oy: float, dx: float, dy: float, segment: Array) -> f
 
 
 @njit(cache=True)
-def _to_circle(ox: float, oy: float, dx: float, dy: float, circle: Array) -> float:
-    """Distance along a ray to a circle's rim, +inf when it misses."""
+def through_circle(ox: float, oy: float, dx: float, dy: float, circle: Array) -> tuple:
+    """Where a ray enters and leaves a circle, in > out when it misses. From within, `in` is negative."""
     cx, cy, r = circle[0] - ox, circle[1] - oy, circle[2]
     along = cx * dx + cy * dy
     inside = along * along - (cx * cx + cy * cy - r * r)
     if inside < 0.0:
-        return math.inf
+        return math.inf, -math.inf
     root = math.sqrt(inside)
-    if along - root >= 0.0:
-        return along - root
-    return along + root if along + root >= 0.0 else math.inf
+    return along - root, along + root
 
 
 def cast(
@@ -113,7 +111,9 @@ def _cast(
                 if k < n_segments:
                     t = _to_segment(ox, oy, dx, dy, segments[k])
                 else:
-                    t = _to_circle(ox, oy, dx, dy, circles[k - n_segments])
+                    t, leave = through_circle(ox, oy, dx, dy, circles[k - n_segments])
+                    if t < 0.0:
+                        t = leave if leave >= 0.0 else math.inf
                 if t < ranges[i] and t <= limit:
                     ranges[i], hits[i] = t, k
                 i += 1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
+from turtlebag.sim.raycast import through_circle
 from turtlebag.sim.shapes import Ball, Mesh, Solid
 
 
@@ -34,13 +35,7 @@ def pass_through(
     edges (n, 3): outward normal and offset of each side, n . p <= c inside. From within, `in` is negative.
     """
     if is_circle:
-        cx, cy, r = circle[0] - ox, circle[1] - oy, circle[2]
-        along = cx * dx + cy * dy
-        inside = along * along - (cx * cx + cy * cy - r * r)
-        if inside < 0.0:
-            return 1.0, -1.0
-        root = math.sqrt(inside)
-        return along - root, along + root
+        return through_circle(ox, oy, dx, dy, circle)
     low, high = -math.inf, math.inf
     for k in range(edges.shape[0]):
         slope = edges[k, 0] * dx + edges[k, 1] * dy

@@ -1,5 +1,7 @@
 """The lidar: exact distances, each beam at its own instant, noise, and REP-117 values."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
@@ -37,7 +39,7 @@ def test_ranges_at_the_spawn_are_the_analytic_ones():
 
 @pytest.fixture(scope="module")
 def arena():
-    with Physics(WORLD.shapes, [], BURGER, PhysicsConfig()) as physics:
+    with closing(Physics(WORLD.shapes, [], BURGER, PhysicsConfig())) as physics:
         physics.reset(WORLD.spawn)
         yield physics
 

@@ -1,6 +1,7 @@
 """The 3D lidar: sides, tops, undersides and the floor; as the planar one at its height; in the bag."""
 
 import dataclasses
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -79,7 +80,7 @@ def test_beams_agree_with_bullets_rays():
     tall = ROBOT.model_copy(
         update={"height": 9.0}
     )  # so that lintels and table tops are in Bullet's world too
-    with Physics(world.shapes, [], tall, PhysicsConfig()) as physics:
+    with closing(Physics(world.shapes, [], tall, PhysicsConfig())) as physics:
         physics.reset(world.spawn)
         hits = bullet.rayTestBatch(
             np.tile(origin, (len(directions), 1)).tolist(),
