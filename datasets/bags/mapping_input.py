@@ -34,7 +34,7 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
     streams = Streams(bag)
     notes = bag.notes
     topic = _scan_topic(streams, topic)
-    scans, log_times = _of_one_laser(topic, streams.scans[topic], streams.scan_times[topic], notes)
+    scans, log_times = _of_one_laser(topic, streams.scans[topic], notes)
     try:
         ranges, lidar = assemble(scans, notes)
     except ValueError as error:
@@ -67,17 +67,15 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
 
 
 def _of_one_laser(
-    topic: str, scans: list[RawScan], log_times: list[int], notes: list[str]
+    topic: str, found: list[tuple[int, RawScan]], notes: list[str]
 ) -> tuple[list[RawScan], Stamps]:
     """The scans of the most frequent frame and their log times: two lasers do not sit at one place."""
-    times = np.array(log_times, dtype=np.int64)
-    (frame, count), *others = Counter(scan.frame for scan in scans).most_common()
-    if not others:
-        return scans, times
-    left = ", ".join(f"{number} of '{name}'" for name, number in others)
-    notes.append(f"{topic}: scans of several lasers; {count} of '{frame}' used, {left} left out")
-    ours = [k for k, scan in enumerate(scans) if scan.frame == frame]
-    return [scans[k] for k in ours], times[ours]
+    (main, count), *others = Counter(scan.frame for _, scan in found).most_common()
+    if others:
+        left = ", ".join(f"{number} of '{name}'" for name, number in others)
+        notes.append(f"{topic}: scans of several lasers; {count} of '{main}' used, {left} left out")
+    ours = [(time, scan) for time, scan in found if scan.frame == main]
+    return [scan for _, scan in ours], np.array([time for time, _ in ours], dtype=np.int64)
 
 
 def _scan_topic(streams: Streams, wanted: str | None) -> str:

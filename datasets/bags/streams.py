@@ -47,8 +47,7 @@ class Streams:
     def __init__(self, bag: Bag, *, note_cloud: Callable[[str, int, bytes], None] | None = None) -> None:
         self.bag = bag
         self._types = (*MAPPED, CLOUD) if note_cloud is not None else MAPPED
-        self.scans: dict[str, list[decode.RawScan]] = {}
-        self.scan_times: dict[str, list[int]] = {}
+        self.scans: dict[str, list[tuple[int, decode.RawScan]]] = {}
         self.odometry: dict[str, Raw] = {}
         self.imu: dict[str, Raw] = {}
         self.frames = FrameTree()
@@ -57,7 +56,8 @@ class Streams:
         self._moving: Raw = []
         for topic, log_time, data in bag.messages(self._wanted):
             if topic.msgtype == SCAN:
-                self._scan(topic.name, log_time, data)
+                for pair in self._decoded([(log_time, data)], decode.laser_scan):
+                    self.scans.setdefault(topic.name, []).append(pair)
             elif topic.msgtype == ODOMETRY:
                 self.odometry.setdefault(topic.name, []).append((log_time, data))
             elif topic.msgtype == IMU:
@@ -65,7 +65,7 @@ class Streams:
             elif topic.msgtype == CLOUD and note_cloud is not None:
                 note_cloud(topic.name, log_time, data)
             elif topic.name.endswith("tf_static"):
-                self._transforms(log_time, data, static=True)
+                self._transforms([(log_time, data)], static=True)
             else:
                 self._moving.append((log_time, data))
 
@@ -86,26 +86,14 @@ class Streams:
         if self.bad:
             notes.append(f"{self.bad} damaged messages skipped")
 
-    def _scan(self, name: str, log_time: int, data: bytes) -> None:
-        try:
-            scan = decode.laser_scan(self.bag.cursor(data))
-        except decode.BadMessage:
-            self.bad += 1
-            return
-        self.scans.setdefault(name, []).append(scan)
-        self.scan_times.setdefault(name, []).append(log_time)
-
-    def _transforms(self, log_time: int, data: bytes, *, static: bool) -> None:
-        try:
-            for transform in decode.transforms(self.bag.cursor(data)):
+    def _transforms(self, raw: Raw, *, static: bool) -> None:
+        for log_time, transforms in self._decoded(raw, decode.transforms):
+            for transform in transforms:
                 self.frames.add(transform._replace(log_time_ns=log_time), static=static)
-        except decode.BadMessage:
-            self.bad += 1
 
     def follow_tf(self) -> None:
         """Decode /tf as well; needed only where topics and /tf_static do not say enough."""
-        for log_time, data in self._moving:
-            self._transforms(log_time, data, static=False)
+        self._transforms(self._moving, static=False)
         self._moving = []
 
     def read_odometry(self, name: str) -> OdometryColumns:

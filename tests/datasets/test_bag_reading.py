@@ -83,14 +83,13 @@ def raw(frame, stamp=0):
 
 def test_of_several_lasers_the_most_frequent_is_used():
     notes = []
-    scans, times = _of_one_laser(
-        "/scan", [raw("a"), raw("b", 1), raw("a"), raw("b", 2), raw("b", 3)], [5, 6, 7, 8, 9], notes
-    )
+    found = list(enumerate([raw("a"), raw("b", 1), raw("a"), raw("b", 2), raw("b", 3)], start=5))
+    scans, times = _of_one_laser("/scan", found, notes)
     assert [s.stamp_ns for s in scans] == [1, 2, 3]
     assert times.tolist() == [6, 8, 9]
     assert notes == ["/scan: scans of several lasers; 3 of 'b' used, 2 of 'a' left out"]
     notes.clear()
-    assert len(_of_one_laser("/scan", [raw("a")] * 2, [1, 2], notes)[0]) == 2
+    assert len(_of_one_laser("/scan", [(1, raw("a")), (2, raw("a"))], notes)[0]) == 2
     assert notes == []
 
 
