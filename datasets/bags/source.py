@@ -13,7 +13,7 @@ from turtlebag.datasets.bags.mcap_index import MAGIC
 from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.message import Message, Wanted
 from turtlebag.datasets.bags.ros1_sequential import ROS1_MAGIC
-from turtlebag.datasets.bags.storage import READERS, one_line
+from turtlebag.datasets.bags.storage import messages_of, one_line
 from turtlebag.datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
@@ -60,7 +60,7 @@ class Bag:
         a file has changed since the bag was opened.
         """
         for file in self.files:
-            messages = READERS[self.kind](file, wanted, self.notes, step_over)
+            messages = messages_of(file, self.kind, wanted, self.notes, step_over=step_over)
             yield from self._unpacked(messages, file) if self._packed else messages
             require_same(file, self._before[file])
 

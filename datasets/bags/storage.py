@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.message import Message, Topic, Wanted, full_type
 from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
-from turtlebag.datasets.bags.sequential import SequentialReader
 from turtlebag.datasets.bags.topics import metadata_text
 from turtlebag.datasets.errors import InputError
 
@@ -17,25 +16,22 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 
-Reader = Callable[[Path, Wanted | None, list[str], bool], Iterator[Message]]
-"""Messages of the wanted topics of a file, in its order; problems are appended to the list, and damage ends
-the reading or is stepped over."""
-
-
-def _front_to_back(reader_of: type[SequentialReader]) -> Reader:
-    """Reads a file front to back."""
-
-    def messages(path: Path, wanted: Wanted | None, notes: list[str], step_over: bool) -> Iterator[Message]:
-        file = reader_of(path)
-        yield from file.messages(wanted, step_over=step_over)
-        _note_problems(path, file.state.problems, file.state.stopped, notes)
-
-    return messages
-
-
-def _sqlite3_messages(
-    path: Path, wanted: Wanted | None, notes: list[str], step_over: bool
+def messages_of(
+    path: Path, kind: str, wanted: Wanted | None, notes: list[str], *, step_over: bool
 ) -> Iterator[Message]:
+    """Messages of the wanted topics of a file of that kind, in its order.
+
+    Problems are appended to `notes`; damage ends the reading or, where that can be, is stepped over.
+    """
+    if kind == "sqlite3":
+        yield from _sqlite3_messages(path, wanted, notes)
+        return
+    file = McapReader(path) if kind == "mcap" else Ros1Reader(path)
+    yield from file.messages(wanted, step_over=step_over)
+    _note_problems(path, file.state.problems, file.state.stopped, notes)
+
+
+def _sqlite3_messages(path: Path, wanted: Wanted | None, notes: list[str]) -> Iterator[Message]:
     """sqlite3 storage, read by rosbags."""
     from rosbags.rosbag2 import Reader  # slow to import, and most bags are mcap
 
@@ -81,10 +77,3 @@ def _note_problems(path: Path, problems: list[str], stopped: bool, notes: list[s
     notes.extend(f"{path.name}: {problem}" for problem in problems)
     if stopped:
         notes.append(f"{path.name}: read up to there; `turtlebag bag recover` also saves what follows")
-
-
-READERS: dict[str, Reader] = {
-    "mcap": _front_to_back(McapReader),
-    "ros1": _front_to_back(Ros1Reader),
-    "sqlite3": _sqlite3_messages,
-}
