@@ -13,7 +13,7 @@ from turtlebag.pipeline.studio.journal import FILE, BagHeader, Header, Journal
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.view import Scene, View
 from turtlebag.pipeline.studio.visuals import EventLog
-from turtlebag.sim.robots import CONTROL_HZ
+from turtlebag.sim.robots import CONTROL_HZ, stamp_of
 
 
 class BaseSession(ABC):
@@ -73,9 +73,9 @@ class BaseSession(ABC):
         return line
 
     @property
-    @abstractmethod
     def stamp_ns(self) -> int:
         """Simulated time since the session began [ns]."""
+        return stamp_of(self._step)
 
     @property
     def idle(self) -> bool:

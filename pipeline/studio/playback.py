@@ -27,7 +27,6 @@ from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of
 from turtlebag.pipeline.studio.setup import BagSetup
 from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.visuals import Cached, Trail
-from turtlebag.sim.robots import stamp_of
 
 EDITS = "edits.yaml"
 NO_KEYS = np.zeros(0, dtype=np.int64)
@@ -102,11 +101,6 @@ class Playback(BaseSession):
         self._cached = Cached()
         for note in self._log.notes:
             self._events.add(0, note)
-
-    @property
-    def stamp_ns(self) -> int:
-        """Simulated time: that of the session, not of the bag [ns]."""
-        return stamp_of(self._step)
 
     @property
     def _told_ns(self) -> int:
@@ -309,7 +303,6 @@ class Playback(BaseSession):
         drawn, mapper = self._drawn, None if self._online is None else self._online.mapper
         return View(
             stamp_ns=self._head.position_ns,
-            ended=self.ended,
             state="mapping" if mapper is not None else "at its end" if self.idle else "playing",
             mapping=mapper is not None,
             maps=self._library.maps,

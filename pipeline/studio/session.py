@@ -50,11 +50,6 @@ class Session(BaseSession):
         super().__exit__(kind)
         self._shared.simulator.close()
 
-    @property
-    def stamp_ns(self) -> int:
-        """Simulated time [ns]."""
-        return self._run.stamp_ns
-
     def tick(self) -> None:
         """One control period; nothing once the session is over."""
         if self.ended:
@@ -145,7 +140,6 @@ class Session(BaseSession):
         goal = None if sequence is None or sequence.goal is None else sequence.waypoint.written
         return View(
             stamp_ns=run.stamp_ns,
-            ended=self.ended,
             owner=run.owner.owner,
             command=(command.v, command.w),
             task="" if task is None else task.kind,

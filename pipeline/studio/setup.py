@@ -107,14 +107,8 @@ class BagSetup:
         (x_min, y_min), (x_max, y_max) = xy.min(axis=0) - reach, xy.max(axis=0) + reach
         return Scene(
             world=self.bag.name,
-            robot="",
-            seed=0,
-            max_v=0.0,
-            max_w=0.0,
             bounds=(float(x_min), float(y_min), float(x_max), float(y_max)),
             outline=ROBOT_M * np.column_stack([np.cos(around), np.sin(around)]),
-            world_segments=np.zeros((0, 4)),
-            world_circles=np.zeros((0, 3)),
         )
 
 

@@ -6,7 +6,7 @@ changed, and anything changed is a new object.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -117,22 +117,22 @@ class CostLayer:
         return np.where(self.costmap.lethal, LETHAL, costs).astype(np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """What stays the same for a whole session."""
+    """What stays the same for a whole session; where a bag is played there is neither robot nor world."""
 
     world: str
-    robot: str
-    seed: int
-    max_v: float
-    max_w: float
+    robot: str = ""
+    seed: int = 0
+    max_v: float = 0.0
+    max_w: float = 0.0
     bounds: tuple[float, float, float, float]
     """x_min, y_min, x_max, y_max of the world [m]."""
     outline: Array
     """Of the robot, (k, 2) in the base frame."""
-    world_segments: Array
+    world_segments: Array = field(default_factory=lambda: np.zeros((0, 4)))
     """Of everything the robot can touch: (n, 4) x0, y0, x1, y1."""
-    world_circles: Array
+    world_circles: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(m, 3) x, y, radius."""
 
     @staticmethod
@@ -185,8 +185,6 @@ class View:
     """
 
     stamp_ns: int
-    ended: bool
-    """Whether the session is over."""
     owner: str = "navigation"
     """Whose commands the robot gets: `navigation` or `teleop`."""
     command: tuple[float, float] = (0.0, 0.0)

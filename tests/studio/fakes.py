@@ -50,7 +50,7 @@ def view(**given):
         | dict.fromkeys(("T_map_base", "T_odom_base", "T_world_base"), SE2.identity())
         | dict.fromkeys(("odom_path", "slam_path", "true_path"), nothing)
         | dict.fromkeys(("maps", "waypoint_files", "goals", "events", "keepout"), ())
-        | dict.fromkeys(("ended", "mapping", "localised"), False)
+        | dict.fromkeys(("mapping", "localised"), False)
         | {"stamp_ns": 0, "owner": "navigation", "command": (0.0, 0.0), "task": "", "state": ""}
         | {"goal_index": -1, "boxes": np.zeros((0, 4))}
         | {"mover_segments": np.zeros((0, 4)), "mover_circles": np.zeros((0, 3))}
@@ -103,7 +103,6 @@ class FakeSession:
         points = np.array(self._points)
         return view(
             stamp_ns=self.stamp_ns,
-            ended=self.ended,
             owner="teleop" if self._drive.v else "navigation",
             command=(self._drive.v, self._drive.w),
             T_map_base=SE2.from_xyt(*points[-1].tolist(), 0.0),
