@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import zstandard
 
@@ -30,13 +30,8 @@ _PIECE = 1 << 20
 _MOST_FILES = 100_000
 
 
-class Signature(NamedTuple):
-    """What changes when a file is written to or replaced: device, inode, size and time of change [ns]."""
-
-    device: int
-    inode: int
-    size: int
-    mtime_ns: int
+Signature = tuple[int, int, int, int]
+"""What changes when a file is written to or replaced: device, inode, size and time of change [ns]."""
 
 
 def signatures(path: Path) -> dict[Path, Signature]:
@@ -52,7 +47,7 @@ def signatures(path: Path) -> dict[Path, Signature]:
         except OSError:
             continue  # a link to nowhere; whoever reads it says so
         if stat.S_ISREG(status.st_mode):
-            found[file] = Signature(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+            found[file] = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
         elif not (stat.S_ISDIR(status.st_mode) or stat.S_ISSOCK(status.st_mode)):
             raise InputError(f"{file}: is a pipe or a device; give a plain file")
         if len(found) > _MOST_FILES:

@@ -51,27 +51,22 @@ class Physics:
         self._solids, self._n_standing = [*standing, *moving], len(standing)
         self._n_own = len(self._solids)
         self._robot, self._friction = robot, config.friction
-        self._client = bullet.connect(bullet.DIRECT)
+        self.client = bullet.connect(bullet.DIRECT)
         self._com = tuple(float(value) for value in composite(robot.parts)[1])
         self._forces = [robot.wheels.torque] * 2
 
     def close(self) -> None:
         """Disconnect from Bullet; closing twice is harmless."""
-        if self._client >= 0:
-            bullet.disconnect(self._client)
-            self._client = -1
-
-    @property
-    def client(self) -> int:
-        """Bullet's client id."""
-        return self._client
+        if self.client >= 0:
+            bullet.disconnect(self.client)
+            self.client = -1
 
     def reset(self, T_world_base: SE2, moving_xy: Sequence[Array] = ()) -> None:
         """Build everything anew with the robot at a pose, and let it settle on its wheels.
 
         `moving_xy` says where the moving solids stand meanwhile, (2,) each. What was dropped is gone.
         """
-        client = self._client
+        client = self.client
         del self._solids[self._n_own :]
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
@@ -101,7 +96,7 @@ class Physics:
             self.step(0.0, 0.0)
 
     def _load_robot(self, T_world_base: SE2) -> None:
-        client = self._client
+        client = self.client
         x, y, yaw = (float(value) for value in T_world_base.xyt)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "robot.urdf"
@@ -136,11 +131,11 @@ class Physics:
             bullet.VELOCITY_CONTROL,
             targetVelocities=[left, right],
             forces=self._forces,
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
         found: set[int] = set()
         for _ in range(SUBSTEPS):
-            bullet.stepSimulation(physicsClientId=self._client)
+            bullet.stepSimulation(physicsClientId=self.client)
             if watch:
                 found |= self.touched()
         return found
@@ -153,34 +148,34 @@ class Physics:
             body,
             [float(xy[0]), float(xy[1]), 0.5 * (solid.z_min + solid.z_max)],
             [0.0, 0.0, 0.0, 1.0],
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
         speed = [float(velocity[0]), float(velocity[1]), 0.0]
-        bullet.resetBaseVelocity(body, speed, [0.0, 0.0, 0.0], physicsClientId=self._client)
+        bullet.resetBaseVelocity(body, speed, [0.0, 0.0, 0.0], physicsClientId=self.client)
 
     def drop(self, solid: Solid) -> None:
         """Add a static solid; its number follows those of all others."""
-        self._solid_of[create_body(solid, self._client)] = len(self._solids)
+        self._solid_of[create_body(solid, self.client)] = len(self._solids)
         self._solids.append(solid)
 
     def put_down(self, T_world_base: SE2) -> None:
         """Set the robot down elsewhere, at rest; its wheels keep their angles."""
         x, y, yaw = (float(value) for value in T_world_base.xyt)
         cx, cy, _ = self._com
-        height = bullet.getBasePositionAndOrientation(self.body, physicsClientId=self._client)[0][2]
+        height = bullet.getBasePositionAndOrientation(self.body, physicsClientId=self.client)[0][2]
         com = [
             x + math.cos(yaw) * cx - math.sin(yaw) * cy,
             y + math.sin(yaw) * cx + math.cos(yaw) * cy,
             height,
         ]
         turn = bullet.getQuaternionFromEuler([0.0, 0.0, yaw])
-        bullet.resetBasePositionAndOrientation(self.body, com, turn, physicsClientId=self._client)
-        bullet.resetBaseVelocity(self.body, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
+        bullet.resetBasePositionAndOrientation(self.body, com, turn, physicsClientId=self.client)
+        bullet.resetBaseVelocity(self.body, [0.0] * 3, [0.0] * 3, physicsClientId=self.client)
 
     def pose(self) -> tuple[float, float, float]:
         """x, y, yaw of base_footprint."""
         (px, py, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(
-            self.body, physicsClientId=self._client
+            self.body, physicsClientId=self.client
         )
         cx, cy, cz = self._com
         # First two rows of the rotation matrix, applied to the centre of mass in the base frame.
@@ -198,13 +193,13 @@ class Physics:
 
     def velocity(self, yaw: float) -> tuple[float, float]:
         """Forward speed of base_footprint [m/s] and yaw rate [rad/s], for a base at that yaw."""
-        (vx, vy, _), (_, _, w) = bullet.getBaseVelocity(self.body, physicsClientId=self._client)
+        (vx, vy, _), (_, _, w) = bullet.getBaseVelocity(self.body, physicsClientId=self.client)
         # The centre of mass lies off the turning axis: take away w x offset (its part along x).
         return vx * math.cos(yaw) + vy * math.sin(yaw) + w * self._com[1], w
 
     def wheels(self) -> tuple[float, float, float, float]:
         """Angles (left, right) [rad] and speeds (left, right) [rad/s] of the wheels."""
-        left, right = bullet.getJointStates(self.body, JOINTS, physicsClientId=self._client)
+        left, right = bullet.getJointStates(self.body, JOINTS, physicsClientId=self.client)
         return left[0], right[0], left[1], right[1]
 
     def touched(self) -> set[int]:
@@ -213,7 +208,7 @@ class Physics:
         Of standing solids that share a body (all seen by the lidar, or none) the first stands for all.
         """
         found = set()
-        for point in bullet.getContactPoints(bodyA=self.body, physicsClientId=self._client):
+        for point in bullet.getContactPoints(bodyA=self.body, physicsClientId=self.client):
             number = self._solid_of.get(point[2])
             if number is not None and (point[9] > 0.0 or point[8] < CONTACT_GAP_M):
                 found.add(number)

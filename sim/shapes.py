@@ -160,10 +160,10 @@ def cylinder(
     return Solid(name, z[0], z[1], center, np.zeros((0, 2)), radius, reflectivity)
 
 
-def ball(name: str, center: tuple[float, float, float], radius: float, reflectivity: float = 1.0) -> Ball:
+def ball(name: str, center: tuple[float, float, float], radius: float) -> Ball:
     """Ball about a point."""
     x, y, z = center
-    return Ball(name, z - radius, z + radius, (x, y), np.zeros((0, 2)), radius, reflectivity)
+    return Ball(name, z - radius, z + radius, (x, y), np.zeros((0, 2)), radius)
 
 
 def mesh(name: str, triangles: Array, reflectivity: float = 1.0) -> Mesh:

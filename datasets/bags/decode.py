@@ -239,13 +239,6 @@ def pose_array(cursor: Cursor) -> tuple[int, Array]:
     return stamp, np.stack([x, y, yaw], axis=-1)
 
 
-def path(cursor: Cursor) -> tuple[int, Array]:
-    """nav_msgs/Path: stamp and (n, 3) x, y, yaw."""
-    stamp, _ = cursor.header()
-    rows = [(pose.x, pose.y, pose.yaw) for pose in (pose_stamped(cursor) for _ in range(cursor.count(64)))]
-    return stamp, np.array(rows, dtype=np.float64).reshape(-1, 3)
-
-
 def joint_state(cursor: Cursor) -> tuple[int, list[str], Array]:
     """sensor_msgs/JointState: stamp, names and positions."""
     stamp, _ = cursor.header()

@@ -1,4 +1,4 @@
-"""Single streams of a bag: poses, commands, particles and plans; and a bag's contents."""
+"""Single streams of a bag: poses, commands and particles; and a bag's contents."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TWISTS = {
     "geometry_msgs/msg/Twist": decode.twist,
     "geometry_msgs/msg/TwistStamped": decode.twist_stamped,
 }
-_ARRAYS = {"geometry_msgs/msg/PoseArray": decode.pose_array, "nav_msgs/msg/Path": decode.path}
+_ARRAYS = {"geometry_msgs/msg/PoseArray": decode.pose_array}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +97,10 @@ def read_commands(path: Path) -> tuple[Stamps, Array, Array]:
     return np.array([time for time, _ in found], dtype=np.int64), v, w
 
 
-def read_particles(path: Path, topic: str = "/particlecloud") -> list[tuple[int, SE2]]:
-    """(stamp [ns], poses (n,)) of each PoseArray or Path message; may be empty."""
-    return [(stamp, SE2.from_array(rows)) for _, (stamp, rows) in _decoded(path, topic, _ARRAYS)]
+def read_particles(path: Path) -> list[tuple[int, SE2]]:
+    """(stamp [ns], poses (n,)) of each message of /particlecloud; may be empty."""
+    found = _decoded(path, "/particlecloud", _ARRAYS)
+    return [(stamp, SE2.from_array(rows)) for _, (stamp, rows) in found]
 
 
 def _decoded(

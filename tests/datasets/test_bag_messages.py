@@ -60,7 +60,6 @@ def built(store, rng, frame, child):
     turn = vector(store, quaternion, "Quaternion")
     moved = make(store, "geometry_msgs/Transform", translation=vector(store, xyz), rotation=turn)
     link = {"header": header(store, frame), "child_frame_id": child, "transform": moved}
-    stamped = make(store, "geometry_msgs/PoseStamped", header=header(store, frame, 5 * S), pose=place)
     ours, below = frame.lstrip("/"), child.lstrip("/")
     scan = dict(zip(GEOMETRY, geometry, strict=True)) | {"ranges": ranges, "intensities": ranges}
     pose_told = make(store, "geometry_msgs/PoseWithCovariance", pose=place, covariance=variances)
@@ -90,7 +89,6 @@ def built(store, rng, frame, child):
     yield "geometry_msgs/Twist", decode.twist, speeds, (xyz[0], angular[2])
     yield "geometry_msgs/TwistStamped", decode.twist_stamped, {"twist": motion}, (xyz[0], angular[2])
     yield "geometry_msgs/PoseArray", decode.pose_array, {"poses": [place, place]}, (STAMP, rows)
-    yield "nav_msgs/Path", decode.path, {"poses": [stamped, stamped]}, (STAMP, rows)
     expected = (STAMP, ["wheel", below, "x"], pytest.approx(xyz))
     yield "sensor_msgs/JointState", decode.joint_state, joints, expected
 

@@ -14,7 +14,6 @@ from turtlebag.datasets import files
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
     FileBytes,
-    Signature,
     Unpacked,
     bound_of,
     chunk_bound,
@@ -110,7 +109,7 @@ def test_signatures_are_of_plain_files_below_a_folder(tmp_path, monkeypatch):
     found = signatures(tmp_path)
     assert {str(p.relative_to(tmp_path)) for p in found} == {"a", "deep/b"}
     status = (tmp_path / "a").stat()
-    wanted = Signature(status.st_dev, status.st_ino, 3, status.st_mtime_ns)
+    wanted = (status.st_dev, status.st_ino, 3, status.st_mtime_ns)
     assert found[tmp_path / "a"] == wanted
     assert signatures(tmp_path / "a") == {tmp_path / "a": wanted}
     monkeypatch.setattr(files, "_MOST_FILES", 2)
