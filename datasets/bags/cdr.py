@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.topics import typestore
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Imu, Joints, LidarSpec, Scan, Twist
+from turtlebag.datasets.types import Imu, Joints, Scan, Twist
 
 _EMPTY, _NO_COVARIANCE = np.zeros(0), np.zeros(36)
 _UNKNOWN_ORIENTATION = np.array([-1.0, *[0.0] * 8])
@@ -93,7 +93,7 @@ def imu(frame: str, sample: Imu, gyro_variance: float, acceleration_variance: fl
 
 def laser_scan(frame: str, scan: Scan) -> bytes:
     """sensor_msgs/LaserScan; its stamp is that of the first beam."""
-    lidar: LidarSpec = scan.lidar
+    lidar = scan.lidar
     last = lidar.angle_min + (lidar.n_beams - 1) * lidar.angle_increment
     angles = lidar.angle_min, last, lidar.angle_increment
     limits = lidar.time_increment, lidar.scan_time, lidar.range_min, lidar.range_max

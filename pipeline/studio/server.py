@@ -47,23 +47,14 @@ class Studio:
     def __init__(self, session: BaseSession) -> None:
         self._scene = session.scene
         self._loop = IOLoop.current()
-        self._thread = SessionThread(session, self._show)
+        self.thread = SessionThread(session, self._show)
         self._viewers: list[Viewer] = []
         self._driver: Viewer | None = None
         self._last: tuple[View, Pace] | None = None
 
-    def start(self) -> None:
-        """Let the simulated time pass."""
-        self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        """Whether it still does."""
-        return self._thread.running
-
     async def end(self, reason: str) -> None:
         """Stop the time, tell everybody why, and close; raises what went wrong in the session."""
-        await asyncio.to_thread(self._thread.end)
+        await asyncio.to_thread(self.thread.end)
         for viewer in list(self._viewers):
             viewer.part(1001, reason)
         patience = self._loop.time() + CLOSING_S
@@ -71,8 +62,8 @@ class Studio:
             await asyncio.sleep(0.02)
         for viewer in list(self._viewers):
             viewer.drop()
-        if self._thread.failure is not None:
-            raise self._thread.failure
+        if self.thread.failure is not None:
+            raise self.thread.failure
 
     def join(self, viewer: Viewer) -> None:
         """A page was opened; it drives if no other does."""
@@ -83,7 +74,7 @@ class Studio:
         self._driver = self._driver or viewer
         maps = () if self._last is None else self._last[0].maps
         viewer.send(hello(self._scene, maps=maps, driver=self._driver is viewer))
-        self._thread.want_view()
+        self.thread.want_view()
 
     def leave(self, viewer: Viewer) -> None:
         """A page was closed. If it drove, no page drives until one takes control."""
@@ -101,9 +92,9 @@ class Studio:
         elif viewer is not self._driver:
             viewer.error = WATCHING
         elif isinstance(asked, Button | Speed):
-            self._thread.control(asked)
+            self.thread.control(asked)
         else:
-            self._thread.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
+            self.thread.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
 
     def _show(self, view: View, pace: Pace) -> None:
         """Called in the session's thread."""
@@ -113,11 +104,11 @@ class Studio:
         self._last = view, pace
         self._tell(None)
         if self._viewers:
-            self._thread.want_view()
+            self.thread.want_view()
 
     def excuse(self) -> None:
         """Tell the viewers what the session is busy with, if it has not given a new view for a while."""
-        if (busy := self._thread.busy) is not None:
+        if (busy := self.thread.busy) is not None:
             self._tell(busy)
 
     def _tell(self, busy: str | None) -> None:
@@ -232,10 +223,10 @@ async def serve(
     limits = {"max_header_size": 16 * 1024, "max_body_size": 0}
     server = HTTPServer(application(studio, access), idle_connection_timeout=IDLE_S, **limits)
     server.add_sockets(sockets)
-    studio.start()
+    studio.thread.start()
     ready()
     for turn in count():
-        if interrupted or not studio.running:
+        if interrupted or not studio.thread.running:
             break
         if turn % EXCUSE_EVERY == 0:
             studio.excuse()
