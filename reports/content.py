@@ -270,7 +270,10 @@ def overall_mood(moods: Iterable[str]) -> str:
 
 def collision_count(metrics: Mapping[str, Any]) -> int:
     """All contact episodes of a run."""
-    return sum((metrics.get("collisions") or {}).values())
+    collisions = metrics.get("collisions", 0)
+    if isinstance(collisions, Mapping):
+        return int(collisions.get("visible", 0)) + int(collisions.get("low", 0))
+    return int(collisions or 0)
 
 
 def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
 from typing import Any
 
 from turtlebag.datasets.bags.source import SUFFIXES
@@ -56,7 +57,9 @@ def _below(files: Any, folder: str) -> dict[str, str]:
     bags: dict[str, str] = {}
     parts: dict[str, list[str]] = defaultdict(list)
     for path, info in inside.items():
-        whole = next((parent for parent in _parents(path, folder) if parent in wholes), None)
+        # The innermost of the folders that hold it.
+        parents = [str(parent) for parent in PurePosixPath(path).parents]
+        whole = next((one for one in parents if len(one) >= len(folder) and one in wholes), None)
         if whole is not None:
             parts[whole].append(_version(info))
         elif path.lower().endswith(RECORDED):
@@ -66,15 +69,6 @@ def _below(files: Any, folder: str) -> dict[str, str]:
 
 def _parent(path: str) -> str:
     return path.rpartition("/")[0]
-
-
-def _parents(path: str, top: str) -> list[str]:
-    """The folders that hold a path, the innermost first, up to `top`."""
-    found = []
-    while len(path) > len(top):
-        path = _parent(path)
-        found.append(path)
-    return found
 
 
 def _version(info: Mapping[str, Any]) -> str:

@@ -41,7 +41,9 @@ def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) ->
             types = {name: kind for name, kind, *_ in connection.execute("DESCRIBE runs").fetchall()}
             connection.execute(f"COPY runs TO '{_quoted(tree)}' ({split})")
         except duckdb.Error as error:
-            raise InputError(f"{store.url}: the table cannot be written ({_first_line(error)})") from None
+            raise InputError(
+                f"{store.url}: the table cannot be written ({str(error).splitlines()[0]})"
+            ) from None
         files = sorted(path for path in tree.rglob("*.parquet"))
         names = [path.relative_to(folder).as_posix() for path in files]
         store.delete(INDEX)
@@ -76,7 +78,7 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
                 raise InputError("--query: is empty; for example: SELECT * FROM runs")
             return [column[0] for column in result.description], result.fetchall()
         except duckdb.Error as error:
-            raise InputError(f"--query: {_first_line(error)}") from None
+            raise InputError(f"--query: {str(error).splitlines()[0]}") from None
 
 
 def _paths(connection: Any, store: Store, names: Sequence[str]) -> list[str]:
@@ -91,10 +93,6 @@ def _paths(connection: Any, store: Store, names: Sequence[str]) -> list[str]:
 def _column(name: str) -> str:
     quoted = name.replace('"', '""')
     return f'"{quoted}"'
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0]
 
 
 def _quoted(path: Path | str) -> str:

@@ -46,10 +46,6 @@ def _hint(error: Exception) -> str:
     return f" -> on Debian: apt install {found[0]}" if found else ""
 
 
-def _python() -> str:
-    return sys.version.split()[0]
-
-
 def _gtsam() -> str:
     import gtsam
 
@@ -104,7 +100,7 @@ MODULES = {
 }
 """The module of a package whose name is different."""
 CHECKS: dict[str, Callable[[], str]] = {
-    "python": _python,
+    "python": lambda: sys.version.split()[0],
     **{package: _imports(MODULES.get(package, package), package) for package in PACKAGES},
     "gtsam": _gtsam,
     "open3d": _open3d,

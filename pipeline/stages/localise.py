@@ -106,7 +106,11 @@ def localise(
         parts: dict[str, str | None] = {"localiser": config.localiser}
         inputs = {"bag": source.path, **map_files(map_yaml), **source_files(parts)}
         inputs |= {"truth": truth} if truth else {}
-        extra = {"parts": parts, **({"update_ms": _milliseconds(result)} if result else {})}
+        extra: dict[str, object] = {"parts": parts}
+        if result is not None:
+            times = 1e3 * result.update_s[result.updated]
+            median, p95 = float(np.median(times)), float(np.percentile(times, 95))
+            extra["update_ms"] = {"median": round(median, 3), "p95": round(p95, 3)}
         out.finish(
             folder, "localise", inputs, metrics=metrics, config=config_text(config), seed=seed, extra=extra
         )
@@ -236,8 +240,3 @@ def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:
     if truth is not None:
         metrics |= localisation_errors(result.trajectory, truth, metrics["success"])
     return metrics
-
-
-def _milliseconds(result: Localisation) -> dict[str, float]:
-    times = 1e3 * result.update_s[result.updated]
-    return {"median": round(float(np.median(times)), 3), "p95": round(float(np.percentile(times, 95)), 3)}

@@ -72,7 +72,7 @@ def test_another_system_in_another_frame_is_measured_by_the_same_numbers_as_ours
     assert other["map_moved"] == pytest.approx(ELSEWHERE.inverse().xyt.tolist(), abs=0.02)
     assert re.search(r"map was moved by .* m and turned by \S+° to align", str(found.notes))
     assert "TurtleBag 0.7" in found.sentence
-    best = {row.spec.path: [cell.best for cell in row.cells] for _, _, rows in found.sections for row in rows}
+    best = {row.spec.path: [text == row.best for text in row.texts] for row in found.rows}
     assert best["ate_aligned_m.rmse"] == [True, False]
     assert best["poses"] == [False, False]
 
@@ -128,7 +128,7 @@ def test_without_a_truth_the_others_are_measured_against_ours():
     assert found.sentence.startswith("Mean relations error: TurtleBag 0.0000")
     bare = measure(System("TurtleBag", path, None), [one.system for one in two[1:]], References())
     nothing = compare_systems(bare, References(), Album(None), "x")
-    assert not any(cell.best for _, _, rows in nothing.sections for row in rows for cell in row.cells)
+    assert not any(row.best for row in nothing.rows)
     assert "the truth is not known" in nothing.sentence
 
 

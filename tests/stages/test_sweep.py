@@ -255,7 +255,7 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
         in page
     )
     assert "Good over size, for each kind." in page
-    assert page.count('<td class="clear">') == 1
+    assert page.count('<td class="clear"') == 1
     summary = json.loads((tmp_path / "out/summary.json").read_text())
     pair = next(p for p in summary["pairs"] if p["level"] == 2 and p["result"] == "error_m")
     assert pair["found"]["difference"]["value"] == pytest.approx(0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import operator
 import os
 import textwrap
@@ -26,6 +27,17 @@ Pose = SE2 | Sequence[float] | np.ndarray
 """x, y [m] and yaw [rad]: three numbers, or an SE2."""
 FARTHEST = 1e9
 LATEST_NS = 2**62
+
+
+def number(value: Any, what: str, expected: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """A number between the two; InputError says what was expected if it is not."""
+    try:
+        found = math.nan if isinstance(value, str) else float(value)
+    except (TypeError, ValueError):
+        found = math.nan
+    if not low < found < high:
+        raise InputError(f"{what}: expected {expected}, not {in_a_line(value)}")
+    return found
 
 
 def in_a_line(value: object) -> str:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
@@ -58,12 +54,6 @@ def system_options(systems: Systems | None) -> tuple[list[str], dict[str, list[s
         words += [f"{name}={path}" for path in found.values()]
         if one.base is not None:
             known["system_base"].append(f"{name}={given.pose_text(given.pose(one.base, f'{what} base'))}")
-        if shift := _seconds(one.shift, f"{what} shift"):
+        if shift := given.number(one.shift, f"{what} shift", "a number of seconds"):
             known["system_shift"].append(f"{name}={shift!r}")
     return words, known, read
-
-
-def _seconds(value: Any, what: str) -> float:
-    if not isinstance(value, int | float | np.number) or not math.isfinite(value):
-        raise InputError(f"{what}: expected a number of seconds, not {given.in_a_line(value)}")
-    return float(value)

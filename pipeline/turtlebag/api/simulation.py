@@ -9,7 +9,6 @@ from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
 from turtlebag.api.making import in_python
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.stages.record import RecordOptions, Scene
 from turtlebag.pipeline.stages.settings import load_config
@@ -17,6 +16,8 @@ from turtlebag.sim import simulator
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Truth
 from turtlebag.sim.world import World
+
+SPEED = "a finite speed in m/s or rad/s"
 
 
 class Simulator:
@@ -99,19 +100,9 @@ class Simulator:
     def step(self, v: float = 0.0, w: float = 0.0) -> Observation:
         """Drive for 1/30 s at v [m/s] forward and w [rad/s] to the left, as far as the motors can follow.
         InputError unless both are finite numbers."""
-        command = Twist(_speed(v, "v"), _speed(w, "w"))
+        command = Twist(*(given.number(one, what, SPEED, -1e6, 1e6) for one, what in ((v, "v"), (w, "w"))))
         self._observation = self._simulator.step(command)
         return self._observation
 
     def __repr__(self) -> str:
         return f"Simulator: {self.robot.name} in {self.world.name}, {self.time_s:.1f} s"
-
-
-def _speed(value: float, what: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not abs(number) < 1e6:
-        raise InputError(f"{what}: expected a finite speed in m/s or rad/s, not {value!r}")
-    return number

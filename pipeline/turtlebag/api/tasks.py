@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,11 +106,7 @@ def keepout_option(areas: PathLike | Sequence[Any] | None, folder: Path) -> str 
 
 
 def _seconds(value: float | None, what: str) -> float | None:
-    if value is None:
-        return None
-    if not isinstance(value, int | float | np.number) or not (math.isfinite(value) and value > 0.0):
-        raise InputError(f"{what}: expected a positive number of seconds, not {value!r}")
-    return float(value)
+    return None if value is None else given.number(value, what, "a positive number of seconds", 0.0)
 
 
 def _numbers(one: Any, what: str) -> Any:
