@@ -66,22 +66,16 @@ def draw_map(stage: Stage, group: Group, album: Album) -> None:
     elif slam is not None and grid is not None and odometry is not None:
         caption = "The path by odometry alone and the path by SLAM."
         album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
-    if stage.has("map.ply"):
-        _add_cloud(stage, album)
+    if stage.has("map.ply") and len(points := read_ply(stage.folder / "map.ply")):
+        caption = (
+            "The 3D map from above, showing the highest point at each place. Walls should be thin lines and "
+            "the floor one colour. A floor that changes colour is bent; a wall that appears twice was not "
+            "recognised."
+        )
+        album.add("cloud", "Point cloud", caption, maps.cloud_from_above, points)
     if stage.has("graph.g2o") and stage.has("graph.json"):
         _add_graph(stage, grid, album)
     _add_mapping_animation(stage, recording, odometry, album)
-
-
-def _add_cloud(stage: Stage, album: Album) -> None:
-    points = read_ply(stage.folder / "map.ply")
-    if len(points) == 0:
-        return
-    caption = (
-        "The 3D map from above, showing the highest point at each place. Walls should be thin lines and the "
-        "floor one colour. A floor that changes colour is bent; a wall that appears twice was not recognised."
-    )
-    album.add("cloud", "Point cloud", caption, maps.cloud_from_above, points)
 
 
 def _add_mapping_animation(

@@ -26,13 +26,12 @@ class Word:
         return f"word-{slug(self.name)}"
 
 
-def _word(spellings: str, meaning: str) -> Word:
-    name, *forms = spellings.split(" | ")
-    return Word(name, meaning, tuple(forms))
-
-
 _told = plain_values((files("turtlebag.reports") / "glossary.yaml").read_text())
-WORDS = tuple(_word(*entry) for entry in _told.items())
+WORDS = tuple(
+    Word(name, meaning, tuple(forms))
+    for spellings, meaning in _told.items()
+    for name, *forms in [spellings.split(" | ")]
+)
 
 
 def explained(text: str) -> Markup:

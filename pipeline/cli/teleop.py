@@ -27,29 +27,21 @@ def run(args: argparse.Namespace) -> int:
     """Drive with the keyboard until Q or Ctrl-C."""
     from turtlebag.datasets.errors import InputError
     from turtlebag.pipeline.stages.record import RecordOptions, Scene, record_drive
-    from turtlebag.pipeline.terminal.keyboard_teleop import (
-        TABLES,
-        KeyState,
-        View,
-        clock,
-        keyboard_driver,
-        keys_of,
-        show,
-    )
+    from turtlebag.pipeline.terminal import keyboard_teleop
     from turtlebag.pipeline.terminal.messages import redrawn
 
     if not args.speed > 0.0:
         raise InputError(f"--speed {args.speed:g}: must be more than 0")
     options = load_config(RecordOptions, args.config, args.settings)
     scene = Scene.load(args.world, args.robot, args.seed, options.sim, start_of(args))
-    state = KeyState(scene.robot.limits, args.style)
-    table = TABLES[args.style]
-    show(table + "\n")
-    with keys_of(sys.stdin.fileno()) as read_keys, redrawn(whole_screen=args.view) as redraw:
+    state = keyboard_teleop.KeyState(scene.robot.limits, args.style)
+    table = keyboard_teleop.TABLES[args.style]
+    keyboard_teleop.show(table + "\n")
+    with keyboard_teleop.keys_of(sys.stdin.fileno()) as read_keys, redrawn(whole_screen=args.view) as redraw:
         return record_drive(
             scene,
-            keyboard_driver(state, read_keys, clock(args.speed)),
+            keyboard_teleop.keyboard_driver(state, read_keys, keyboard_teleop.clock(args.speed)),
             f"keyboard:{args.style}",
             output(args),
-            watch=View(scene.robot, state, args.view, redraw, keys=table),
+            watch=keyboard_teleop.View(scene.robot, state, args.view, redraw, keys=table),
         )

@@ -134,11 +134,8 @@ def planners_to_compare(config: PlanStageConfig) -> list[PlanStageConfig]:
             ompl = OmplConfig.model_validate({**config.plan.ompl.model_dump(), "planner": planner})
         except ValidationError:
             continue  # this planner cannot work in this space
-        out.append(
-            config.model_copy(
-                update={"plan": config.plan.model_copy(update={"planner": "ompl", "ompl": ompl})}
-            )
-        )
+        plan = config.plan.model_copy(update={"planner": "ompl", "ompl": ompl})
+        out.append(config.model_copy(update={"plan": plan}))
     return out
 
 

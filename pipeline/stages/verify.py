@@ -17,15 +17,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.stages import recompute
 from turtlebag.pipeline.stages.other_systems import MARK, from_manifest, inputs_of, measured_in
-from turtlebag.pipeline.stages.recompute import (
-    TRUTH_AGREES_M,
-    Check,
-    checks,
-    recomputed,
-    robot_of,
-    truth_disagreement,
-)
 from turtlebag.pipeline.stages.run_again import Run, places_of, remade
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
@@ -52,7 +45,7 @@ class Verification:
     stages that came out equal in numbers but not in bytes when run again.
     """
 
-    checks: list[Check] = field(default_factory=list)
+    checks: list[recompute.Check] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     unchecked: list[str] = field(default_factory=list)
     files: int = 0
@@ -142,8 +135,8 @@ def _check_stage(
     changed = changed_files(stage.folder, stage.manifest.outputs)
     found.problems += [f"{name}/{path}: does not match its manifest" for path in changed]
     found.problems += [f"{name}: {said}" for said in changed_parts(stage)]
-    disagreement = truth_disagreement(stage)
-    if disagreement is not None and disagreement > TRUTH_AGREES_M:
+    disagreement = recompute.truth_disagreement(stage)
+    if disagreement is not None and disagreement > recompute.TRUTH_AGREES_M:
         apart = shown(disagreement, "cm")
         found.problems.append(
             f"{name}/truth/trajectory.tum: differs by {apart} from the bag's /ground_truth/odom"
@@ -154,7 +147,7 @@ def _check_stage(
         if dict(leaves(metrics)).get(path) != value:
             found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
     try:
-        done = list(checks(name, metrics, recomputed(stage, group, places)))
+        done = list(recompute.checks(name, metrics, recompute.recomputed(stage, group, places)))
     except InputError as error:
         found.problems.append(f"{name}: {error}")
         return
@@ -162,7 +155,7 @@ def _check_stage(
     if left and run is not None and (anew := remade(stage, places, run)) is not None:
         if anew.other_bytes:
             found.notes.append(f"{name}: run again, different bytes in {', '.join(anew.other_bytes)}")
-        done += [check for check in checks(name, metrics, anew.metrics) if check.key in left]
+        done += [check for check in recompute.checks(name, metrics, anew.metrics) if check.key in left]
         left = _unknown(name, metrics, done)
     found.unchecked += left
     _keep(done, found)
@@ -190,11 +183,11 @@ def _check_systems(
     found.problems += changed
     if missing := {path for path, _ in leaves(expected.metrics)} - {path for path, _ in leaves(told)}:
         found.problems.append(f"{name}: not in the report's metrics.json: {', '.join(sorted(missing)[:3])}")
-    _keep(checks(name, told, expected.metrics), found)
+    _keep(recompute.checks(name, told, expected.metrics), found)
     return expected
 
 
-def _keep(done: Iterable[Check], found: Verification) -> None:
+def _keep(done: Iterable[recompute.Check], found: Verification) -> None:
     """Add checks, and a problem for each that found another number."""
     for check in done:
         found.checks.append(check)
@@ -202,7 +195,7 @@ def _keep(done: Iterable[Check], found: Verification) -> None:
             found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
 
 
-def _unknown(name: str, metrics: Mapping[str, object], done: list[Check]) -> list[str]:
+def _unknown(name: str, metrics: Mapping[str, object], done: list[recompute.Check]) -> list[str]:
     """Keys of the numbers no check is about."""
     known = {check.key for check in done}
     return [
@@ -228,7 +221,7 @@ def clearance_on_map(footprint: Array, grid: OccupancyGrid, T_world_base: SE2) -
 
 def _check_clearance(stage: Stage, name: str, found: Verification) -> None:
     """The reported clearance against that on the true map, where robot and map are known."""
-    reported, robot, grid = stage.metrics.get("min_clearance_m"), robot_of(stage), stage.true_map
+    reported, robot, grid = stage.metrics.get("min_clearance_m"), recompute.robot_of(stage), stage.true_map
     if robot is None or grid is None or not isinstance(reported, (int, float)):
         return
     room = clearance_on_map(robot.model.footprint, grid, stage.driven.poses[::3])
