@@ -64,7 +64,7 @@ class Amcl:
         self.search = global_search(grid, lidar, config)
         """How well the map explains a scan from any pose."""
         self.searches = 0
-        """How often poses from a search over the whole map were used."""
+        """How often poses from a search were used."""
         self.beams: Beams | None = None
         """The scan of the last update; None before the first."""
         self.watch = AgreementWatch(config)
@@ -253,7 +253,7 @@ class Amcl:
         found, gain = (near, gain_near) if gain_near > gain_far - ALIKE else (far, gain_far)
         if gain <= self.search.agreement(here.xyt, beams) + DIFFERENT:
             return None
-        self.searches += found is far
+        self.searches += 1
         return found
 
     def _agreement_of(self, poses: Array, beams: Beams) -> float:

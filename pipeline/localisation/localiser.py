@@ -18,7 +18,7 @@ class Localiser(Protocol):
     """Estimates `T_map_odom`. It is initialised, with a pose or globally, before its first scan."""
 
     searches: int
-    """How often its pose came from a global search; after each, pose hypotheses are compared."""
+    """How often its pose came from a search; after each, pose hypotheses are compared."""
 
     def __init__(
         self,

@@ -6,7 +6,6 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.localisation.lost_detection import SETTLING
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
@@ -42,7 +41,8 @@ class Relocaliser:
         self.tools = tools
         """Controller, costmap and planner."""
         self._aliasing, self._avoidance, self._wiggle = aliasing, avoidance, Wiggle()
-        self._sureness = _Sureness()
+        self._searches = 0  # whose result has been examined
+        self._judged = 0  # filter updates by which the hypotheses have been judged
         self._T_map_odom: SE2 | None = None
 
     def update(self, observation: Observation, *, examine: bool) -> State:
@@ -61,9 +61,8 @@ class Relocaliser:
             localiser.amcl.initialise_globally()
         if machine.state not in (State.DRIVE, State.DISAMBIGUATE):
             self.void |= driving
-            self._sureness.doubted = True
             if self.disambiguation is not None:
-                self.disambiguation, self._sureness.searches = None, -1
+                self.disambiguation, self._searches = None, -1
         elif machine.state is State.DRIVE and examine:
             self._examine(now)
         if machine.state is not before:
@@ -74,7 +73,7 @@ class Relocaliser:
     def told(self, state: State) -> None:
         """A pose estimate was set, or global localisation started: earlier doubts are void."""
         self.machine, self.disambiguation = RelocalisationStates(self.machine.config, state), None
-        self._sureness = _Sureness(self.localiser.amcl.searches)
+        self._searches = self.localiser.amcl.searches
         self.accept()
         self._wiggle = Wiggle()
         self._avoidance.interrupted()
@@ -119,7 +118,8 @@ class Relocaliser:
     def disambiguate(self, tick: Tick, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
         """The command of active disambiguation; None if it has taken too long."""
         assert self.disambiguation is not None
-        if self._sureness.new_update(self.localiser):
+        if self.localiser.updates > self._judged:
+            self._judged = self.localiser.updates
             left = self.disambiguation.judge(self.localiser)
             if left is not None:
                 self.disambiguation, self.void = None, True
@@ -144,54 +144,22 @@ class Relocaliser:
         return apart(before @ T_odom_base, self._T_map_odom @ T_odom_base, JUMP)
 
     def _examine(self, now_ns: int) -> None:
-        """Search for places that look like the estimate's; move it to a clearly better one."""
+        """After a search, look for places that look like the estimate's; move it to a clearly better one."""
         localiser = self.localiser
-        T_map_odom, keyframes = localiser.T_map_odom, localiser.keyframes
-        if T_map_odom is None or not keyframes or localiser.amcl.lost:
+        T_map_odom, keyframes, searches = localiser.T_map_odom, localiser.keyframes, localiser.amcl.searches
+        if T_map_odom is None or not keyframes or localiser.amcl.lost or searches <= self._searches:
             return
-        if self._sureness.doubtful(localiser, T_map_odom, keyframes[-1].T_odom_base):
-            found = self._aliasing.find(keyframes, T_map_odom)
-            if len(found) > 1:
-                self.disambiguation = Disambiguation(self._aliasing, found, self.tools, now_ns)
-                self._sureness.new_update(localiser)
-                self.machine.on(Event.ALIASED, now_ns, localiser.updates)
-            else:
-                self._move_to(found[0])
+        self._searches = searches
+        found = self._aliasing.find(keyframes, T_map_odom)
+        if len(found) > 1:
+            self.disambiguation = Disambiguation(self._aliasing, found, self.tools, now_ns)
+            self._judged = localiser.updates
+            self.machine.on(Event.ALIASED, now_ns, localiser.updates)
+        else:
+            self._move_to(found[0])
 
     def _move_to(self, T_map_map: SE2) -> None:
         """Move the estimate if it is not there already; that is no reason for doubt."""
         if not np.allclose(T_map_map.xyt, 0.0):
             self.localiser.move(T_map_map, MOVED_STD**2 * np.eye(3))
             self._T_map_odom, self.void = self.localiser.T_map_odom, True
-
-
-class _Sureness:
-    """Whether to compare an estimate with other places: it comes from a search, or has jumped."""
-
-    def __init__(self, searches: int = 0) -> None:
-        self.doubted = False
-        """Whether the robot has been lost since it last knew its pose."""
-        self.searches = searches
-        """Searches over the whole map whose result has been examined."""
-        self._updates = self._sure = 0
-        self._sure_of = SE2.identity()
-
-    def new_update(self, localiser: OnlineLocaliser) -> bool:
-        """Whether the filter has used a scan since the last call."""
-        before, self._updates = self._updates, localiser.updates
-        return localiser.updates > before
-
-    def doubtful(self, localiser: OnlineLocaliser, T_map_odom: SE2, T_odom_base: SE2) -> bool:
-        """Whether to search for other places, given a certain estimate.
-
-        A robot that was never certain was given a pose and corrects it: whoever gave it knows the place.
-        """
-        searched = localiser.amcl.searches > self.searches
-        self.searches = localiser.amcl.searches
-        moved = self._sure >= SETTLING and apart(T_map_odom @ T_odom_base, self._sure_of @ T_odom_base, JUMP)
-        doubtful = searched or (self.doubted and moved)
-        if self.doubted:
-            self.doubted, self._sure = False, 0
-        if not doubtful and self.new_update(localiser):
-            self._sure, self._sure_of = self._sure + 1, T_map_odom
-        return doubtful
