@@ -136,7 +136,7 @@ def _disc_way(
         if last and best is not None:
             break
         search = _Search(costmap, model.circumscribed_radius + margin, config)
-        entry, exit_ = search.entry(start.xy), search.entry(goal.xy) if last else search.cell(goal.xy)
+        entry, exit_ = search.entry(start.xy), search.entry(goal.xy, SNAP_M if last else 0.0)
         if entry is None or exit_ is None:
             if entry is None:
                 reason = "the robot is too close to an obstacle"
@@ -249,16 +249,9 @@ class _Search:
         self.free: NDArray[np.bool_] = costmap.clearance > radius
         self._from_goal: tuple[tuple[int, int], NDArray[np.float32]] | None = None
 
-    def cell(self, xy: Array) -> tuple[int, int] | None:
-        """The free cell under a point."""
-        row, col = (int(v) for v in np.floor(xy[::-1] / self.resolution))
-        rows, cols = self.free.shape
-        inside = 0 <= row < rows and 0 <= col < cols
-        return (row, col) if inside and self.free[row, col] else None
-
-    def entry(self, xy: Array) -> tuple[int, int] | None:
-        """The free cell under a point, or the nearest one within the snapping distance."""
-        return nearest_free(self.free, xy / self.resolution, SNAP_M / self.resolution)
+    def entry(self, xy: Array, reach: float = SNAP_M) -> tuple[int, int] | None:
+        """The free cell under a point, or the nearest one within reach [m]."""
+        return nearest_free(self.free, xy / self.resolution, reach / self.resolution)
 
     def to_goal(self, goal: tuple[int, int]) -> NDArray[np.float32]:
         """Distance from every cell to the goal's, in cells."""

@@ -96,37 +96,34 @@ def solve(
     motions = _motion_validator(ob, info, floor)
     info.setMotionValidator(motions)
     info.setup()
-    problem = ob.ProblemDefinition(info)
-    ends = _state(space, start), _state(space, goal)
-    problem.setStartAndGoalStates(*ends)
-    set_goal_length(info, problem, enough)
-    path = exact_path(info, problem, ends[0], config)
+    path = exact_path(info, (_state(space, start), _state(space, goal)), enough, config)
     return None if path is None else np.array([[state[0], state[1]] for state in path.getStates()])
 
 
-def set_goal_length(info: Any, problem: Any, enough: float) -> None:
-    """Make path length the objective, with this length as sufficient.
+def exact_path(info: Any, ends: tuple[Any, Any], enough: float, config: OmplConfig) -> Any | None:
+    """OMPL's path from one of the states to the other, or None within the budget.
 
-    At least a little more than the straight line, because SORRTstar samples an empty set of better states
-    forever once it has found that.
+    Its objective is its length, with `enough` as sufficient: a little more than the straight line, because
+    SORRTstar samples an empty set of better states forever once it has found that.
     """
     from ompl import base as ob
+    from ompl import geometric as og
 
+    problem = ob.ProblemDefinition(info)
+    problem.setStartAndGoalStates(*ends)
     objective = ob.PathLengthOptimizationObjective(info)
     objective.setCostThreshold(ob.Cost(enough))
     problem.setOptimizationObjective(objective)
-
-
-def exact_path(info: Any, problem: Any, start: Any, config: OmplConfig) -> Any | None:
-    """OMPL's path from start to goal, or None within the budget."""
-    planner = make_planner(info, config)
+    planner = getattr(og, config.name)(info)
+    if hasattr(planner, "setRange"):
+        planner.setRange(RANGE_M)
     planner.setProblemDefinition(problem)
     planner.setup()
     if config.name in ROADMAPS:
         return _path_on_roadmap(planner, problem, config.iterations)
     planner.solve(iteration_limit(config.iterations))
     # PlannerStatus is truthy for approximate solutions too.
-    return _with_start(info, problem, start) if problem.hasExactSolution() else None
+    return _with_start(info, problem, ends[0]) if problem.hasExactSolution() else None
 
 
 def _with_start(info: Any, problem: Any, start: Any) -> Any | None:
@@ -155,16 +152,6 @@ def _path_on_roadmap(planner: Any, problem: Any, iterations: int) -> Any | None:
     planner.solve(ob.plannerAlwaysTerminatingCondition())
     joined = problem.hasSolution() and problem.getSolutionDifference() == 0.0
     return problem.getSolutionPath() if joined else None
-
-
-def make_planner(info: Any, config: OmplConfig) -> Any:
-    """The planner of `config` for a space information."""
-    from ompl import geometric as og
-
-    planner = getattr(og, config.name)(info)
-    if hasattr(planner, "setRange"):
-        planner.setRange(RANGE_M)
-    return planner
 
 
 def iteration_limit(iterations: int) -> Any:

@@ -14,7 +14,6 @@ from turtlebag.planners.ompl_planner import (
     OmplConfig,
     exact_path,
     iteration_limit,
-    set_goal_length,
 )
 from turtlebag.planners.smoothing import SPACING_M
 
@@ -59,11 +58,8 @@ def solve_poses(
     info.setStateValidityChecker(fits)
     info.setStateValidityCheckingResolution(0.5 * resolution / space.getMaximumExtent())
     info.setup()
-    problem = ob.ProblemDefinition(info)
     ends = _state(space, T_grid_start), _state(space, T_grid_goal)
-    problem.setStartAndGoalStates(*ends)
-    set_goal_length(info, problem, GOOD_ENOUGH * float(space.distance(*ends)))
-    path = exact_path(info, problem, ends[0], config)
+    path = exact_path(info, ends, GOOD_ENOUGH * float(space.distance(*ends)), config)
     if path is None:
         return None
     og.PathSimplifier(info).simplify(path, iteration_limit(SIMPLIFY_CALLS))

@@ -36,8 +36,7 @@ def search(costmap, radius=0.12):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_entry_is_the_nearest_free_cell_within_the_snapping_distance(seed, monkeypatch):
-    monkeypatch.setattr("turtlebag.planners.global_plan.SNAP_M", 0.2)
+def test_the_entry_is_the_nearest_free_cell_within_reach(seed):
     found = search(cluttered(seed))
     cells = np.argwhere(found.free)
     centres = (cells[:, ::-1] + 0.5) * RES
@@ -45,7 +44,7 @@ def test_the_entry_is_the_nearest_free_cell_within_the_snapping_distance(seed, m
     for xy in np.random.default_rng(seed).uniform(-0.3, [3.3, 2.8], (150, 2)):
         row, col = math.floor(xy[1] / RES), math.floor(xy[0] / RES)
         inside = 0 <= row < 50 and 0 <= col < 60 and found.free[row, col]
-        assert found.cell(xy) == ((row, col) if inside else None)
+        assert found.entry(xy, 0.0) == ((row, col) if inside else None)
         gaps = np.linalg.norm(centres - xy, axis=1)
         if inside:
             expected = row, col
@@ -53,7 +52,7 @@ def test_the_entry_is_the_nearest_free_cell_within_the_snapping_distance(seed, m
             expected, snapped = tuple(cells[gaps.argmin()]), snapped + 1
         else:
             expected = None
-        assert found.entry(xy) == expected
+        assert found.entry(xy, 0.2) == expected
     assert snapped > 5
     np.testing.assert_allclose(found.center((3, 7)), [0.375, 0.175])
 
@@ -64,7 +63,7 @@ def test_cells_at_the_edge_are_cells_and_those_beyond_are_none():
         ((0.0, 0.0), (0, 0)), ((2.999, 2.499), (49, 59)), ((3.0, 1.0), None),
         ((1.0, 2.5), None), ((-0.001, 1.0), None),
     ):  # fmt: skip
-        assert everywhere.cell(np.array(xy)) == cell
+        assert everywhere.entry(np.array(xy), 0.0) == cell
 
 
 @pytest.mark.parametrize("seed", range(3))
