@@ -137,7 +137,7 @@ def _mark_and_clear(
     for k in range(len(ends)):
         dx, dy = ends[k, 0] - x, ends[k, 1] - y
         length = math.hypot(dx, dy)
-        if length < 1e-6:
+        if length == 0.0:
             continue
         ux, uy = dx / length, dy / length
         stop = length - (1.5 * resolution if k < n_hits else 0.0)

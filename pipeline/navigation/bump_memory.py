@@ -17,9 +17,8 @@ from turtlebag.planners.tasks.sector_rule import SLOW_V, TURN_W
 # Sweeps are compared once odometry has gone so far; after so much of a turn the next is begun with (without
 # that, one of three drives with bumps sees half the floor). Fewer points say nothing.
 TRAVEL_M, TURN_RAD, LEAST_POINTS = 0.1, 0.6, 30
-# Standing still must explain the sweep by this factor better than odometry does; distances beyond are cut.
-# Not measured.
-STILL_RATIO, FAR_M = 0.5, 0.2
+# Standing still must explain the sweep by this factor better than odometry does (not measured).
+STILL_RATIO = 0.5
 # So far beyond the leading edge the thing is taken to stand; points along it are so far apart (not measured).
 BEYOND_M, SPACING_M = 0.05, 0.02
 # It is kept out of for so long: then odometry has drifted, and the thing may have been moved.
@@ -60,9 +59,9 @@ class SlipWatch:
 
 
 def _misfit(tree: scipy.spatial.cKDTree, points: Array) -> float:
-    """Mean distance of points to their nearest neighbours, far ones cut."""
-    distance, _ = tree.query(points, distance_upper_bound=FAR_M)
-    return float(np.minimum(distance, FAR_M).mean())
+    """Mean distance of points to their nearest neighbours, cut at twice the way between two sweeps."""
+    distance, _ = tree.query(points, distance_upper_bound=2.0 * TRAVEL_M)
+    return float(np.minimum(distance, 2.0 * TRAVEL_M).mean())
 
 
 class Escape:

@@ -17,6 +17,7 @@ import scipy
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.localisation.global_search import PATH_SLACK_M
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
@@ -26,8 +27,6 @@ from turtlebag.planners.costmap import Costmap, distance_field, ways_from
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
 
-CLEAR_M = 0.2
-"""A wall is not there under a hypothesis with so much room: more than maps are off (not measured)."""
 SEEN_M = 1.0
 """From so near a wall is seen. Three kidnapped robots in the arena are 26 s on these drives; with 1.5 m 33,
 with 2.5 m 53."""
@@ -135,11 +134,13 @@ def nearest_difference(
 ) -> SE2 | None:
     """The pose nearest along the `floor` from which a wall is seen that there is not under all hypotheses.
 
+    It is not there with as much room as the likelihood of a scan tells ranges apart by.
+
     Only places that a disc of `radius` reaches count, and none about those `visited`.
     """
     ways = ways_from(floor, pose, radius)
     under = clearances(walls, hypotheses)
-    differs = (under.min(axis=0) <= 0.0) & (under.max(axis=0) > CLEAR_M)
+    differs = (under.min(axis=0) <= 0.0) & (under.max(axis=0) > PATH_SLACK_M)
     if ways is None or not differs.any():
         return None
     near = distance_field(differs, floor.resolution) <= SEEN_M

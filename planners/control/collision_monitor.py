@@ -11,10 +11,8 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.controller import ACCELERATION_SHARE
 
-STEP_M = 0.01
-"""Spacing of the poses checked along the way."""
 PADDING_M = 0.02
-"""The footprint is checked this much larger."""
+"""The footprint is checked this much larger, at poses half as far apart along the way."""
 REACTION_S = 0.1
 """Time at the commanded speed before braking is felt: three control periods."""
 
@@ -44,7 +42,7 @@ class CollisionMonitor:
             v,
             w,
             horizon,
-            STEP_M / speed,
+            0.5 * PADDING_M / speed,
         )
         if free >= horizon:
             return 1.0
@@ -56,7 +54,7 @@ class CollisionMonitor:
     def free_way(self, v: float, points_base: Array, most: float) -> float:
         """How far [m], up to `most`, straight driving at v is free of points (n, 2) in the base frame."""
         points, horizon = np.ascontiguousarray(points_base), most / abs(v)
-        free = free_time(points, self._footprint, self._reach, v, 0.0, horizon, STEP_M / abs(v))
+        free = free_time(points, self._footprint, self._reach, v, 0.0, horizon, 0.5 * PADDING_M / abs(v))
         return abs(v) * free
 
     def _stopping_distance(self, speed: float) -> float:

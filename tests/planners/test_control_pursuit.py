@@ -217,24 +217,24 @@ def test_limits_are_the_narrower_of_robots_and_configuration():
     assert both.brake(Twist(0.2, 0.0)) == Twist(0.1, 0.0)
 
 
-def test_the_goal_checker_is_wider_once_inside_and_counts_its_hold():
+def test_the_goal_checker_counts_its_hold():
     config = GoalCheckerConfig(hold=0.3)
     goal, still = SE2.from_xyt(1.0, 1.0, 3.1), Twist(0.01, 0.06)
     out = SE2.from_xyt(1.035, 1.0, 3.1)
     assert not GoalChecker(config, goal).reached(0, out, still)
     checker = GoalChecker(config, goal)
     assert not checker.reached(0, SE2.from_xyt(1.0299, 1.0, 3.1), still)
-    assert not checker.reached(299_999_999, out, still)
-    assert checker.reached(300_000_000, out, still)
+    assert not checker.reached(299_999_999, goal, still)
+    assert checker.reached(300_000_000, SE2.from_xyt(1.0, 1.0, 3.149), still)
     for pose, twist in (
-        (SE2.from_xyt(1.0361, 1.0, 3.1), still), (SE2.from_xyt(1.0, 1.0, 3.1 + 0.0601), still),
+        (SE2.from_xyt(1.0301, 1.0, 3.1), still), (SE2.from_xyt(1.0, 1.0, 3.1 + 0.0501), still),
         (goal, Twist(0.011, 0.0)), (goal, Twist(0.0, -0.061)),
     ):  # fmt: skip
         checker = GoalChecker(config, goal)
         assert not checker.reached(0, goal, still)
         assert not checker.reached(10**9, pose, twist)
         assert not checker.reached(2 * 10**9, goal, still)
-        assert checker.reached(3 * 10**9, SE2.from_xyt(1.0, 1.0, 3.1 + 0.059 - 2 * math.pi), still)
+        assert checker.reached(3 * 10**9, SE2.from_xyt(1.0, 1.0, 3.1 + 0.049 - 2 * math.pi), still)
     passing = GoalChecker(GoalCheckerConfig(hold=0.0, stop=False), goal)
     assert passing.reached(0, goal, Twist(0.2, 0.0))
 
