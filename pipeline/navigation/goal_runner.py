@@ -68,24 +68,25 @@ class Tools:
         return sample_footprint(self.model)
 
     def passed(self, wanted: Twist, tick: Tick) -> float:
-        """Factor 0..1 for a command, by the points seen."""
-        return 0.0 if tick.stop else self.monitor.limit(wanted, tick.points_base)
+        """Factor 0..1 for a command, by the points seen and by the map."""
+        if tick.stop:
+            return 0.0
+        costmap = self.obstacles.static
+        factor = self.monitor.limit(wanted, tick.points_base)
+        if factor > 0.0:
+            x, y, yaw = (costmap.T_grid_map @ tick.pose).xyt.tolist()
+            on_map = self.monitor.limit_on_map(wanted, costmap.clearance, costmap.resolution, x, y, yaw)
+            factor = min(factor, on_map)
+        return factor
 
     def room_after(self, twist: Twist, amount: float, tick: Tick) -> float:
-        """Room round the footprint [m] after a twist over an amount [m or rad].
-
-        It is -inf when the robot is held, or would be in an obstacle or a keep-out area, and deeper than now.
-        """
+        """Room round the footprint [m] after a twist over an amount [m or rad]; -inf when it is held."""
         if self.passed(twist, tick) <= 0.5:
             return -np.inf
         costmap = self.obstacles.costmap
-        here = (costmap.T_grid_map @ tick.pose).xyt.tolist()
-        after = moved(*here, twist.v, twist.w, amount / max(abs(twist.v), abs(twist.w)))
-        before, room = (
-            footprint_clearance(costmap.clearance, costmap.resolution, self.samples, *pose)
-            for pose in (here, after)
-        )
-        return -np.inf if room <= 0.0 and room < before else float(room)
+        x, y, yaw = (costmap.T_grid_map @ tick.pose).xyt.tolist()
+        after = moved(x, y, yaw, twist.v, twist.w, amount / max(abs(twist.v), abs(twist.w)))
+        return float(footprint_clearance(costmap.clearance, costmap.resolution, self.samples, *after))
 
 
 @dataclass(frozen=True)

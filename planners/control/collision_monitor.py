@@ -10,6 +10,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.controller import ACCELERATION_SHARE
+from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
 
 PADDING_M = 0.02
 """The footprint is checked this much larger, at poses half as far apart along the way."""
@@ -18,11 +19,16 @@ REACTION_S = 0.1
 
 
 class CollisionMonitor:
-    """Limits commands to those that can still be stopped in time, by the points of the last sweep."""
+    """Limits commands to those that can still be stopped in time.
+
+    Two sources of evidence: the points of the last sweep, and (localised) a clearance field with the
+    keep-out areas that no lidar sees.
+    """
 
     def __init__(self, model: RobotModel) -> None:
         self._footprint = padded(model.footprint, PADDING_M)
         self._reach = model.circumscribed_radius + PADDING_M
+        self._samples = sample_footprint(model)
         self._braking = ACCELERATION_SHARE * model.max_dv
 
     def limit(self, command: Twist, points_base: Array) -> float:
@@ -59,6 +65,24 @@ class CollisionMonitor:
 
     def _stopping_distance(self, speed: float) -> float:
         return speed * REACTION_S + 0.5 * speed * speed / self._braking
+
+    def limit_on_map(
+        self, command: Twist, field: Field32, resolution: float, x: float, y: float, yaw: float
+    ) -> float:
+        """The same against a clearance field, for a pose in its grid frame."""
+        v, w = command.v, command.w
+        speed = max(abs(v), abs(w) * self._reach)
+        if speed == 0.0:
+            return 1.0
+        horizon = self._stopping_distance(speed) / speed
+        here = footprint_clearance(field, resolution, self._samples, x, y, yaw)
+        for part in (0.5, 1.0):
+            t = part * horizon
+            nx, ny, nyaw = moved(x, y, yaw, v, w, t)
+            room = footprint_clearance(field, resolution, self._samples, nx, ny, nyaw)
+            if room <= 0.0 and room < here:
+                return 0.0
+        return 1.0
 
 
 def padded(polygon: Array, padding: float) -> Array:

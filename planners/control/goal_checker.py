@@ -16,6 +16,9 @@ from turtlebag.datasets.types import Twist, yaw_difference
 Preset = Literal["default", "tutorial"]
 TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial": (0.05, 0.17)}
 
+
+HYSTERESIS = 1.2
+"""Once inside, the tolerances are this much wider until the goal counts as reached (not measured)."""
 STOPPED_V, STOPPED_W = 0.01, 0.06
 """Below these speeds the robot stands still [m/s, rad/s]."""
 
@@ -52,8 +55,9 @@ class GoalChecker:
     def reached(self, now_ns: int, T_map_base: SE2, twist: Twist) -> bool:
         """Whether the goal has been held long enough, by the estimated pose and measured speed."""
         xy, yaw = self.config.tolerances()
-        near = float(np.linalg.norm(T_map_base.xy - self.goal.xy)) <= xy
-        turned = float(yaw_difference(T_map_base.yaw, self.goal.yaw)) <= yaw
+        slack = 1.0 if self._since_ns is None else HYSTERESIS
+        near = float(np.linalg.norm(T_map_base.xy - self.goal.xy)) <= xy * slack
+        turned = float(yaw_difference(T_map_base.yaw, self.goal.yaw)) <= yaw * slack
         still = abs(twist.v) <= STOPPED_V and abs(twist.w) <= STOPPED_W
         if not (near and turned and (still or not self.config.stop)):
             self._since_ns = None

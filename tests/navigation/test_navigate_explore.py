@@ -62,6 +62,9 @@ class Holding:
     def limit(self, wanted, points_base):
         return float(wanted.v == 0.0 and wanted.w == 0.0)
 
+    def limit_on_map(self, wanted, clearance, resolution, x, y, yaw):
+        return 1.0
+
 
 @pytest.mark.slow
 def test_a_held_robot_climbs_its_recoveries_instead_of_choosing_anew_for_ever():

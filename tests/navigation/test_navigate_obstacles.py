@@ -6,15 +6,9 @@ import pytest
 from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
-from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
-from turtlebag.planners.control.collision_monitor import CollisionMonitor
-from turtlebag.planners.control.goal_checker import GoalCheckerConfig
-from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
-from turtlebag.planners.global_plan import PlanConfig
 from turtlebag.planners.obstacle_layer import Marking, ObstacleLayer
 from turtlebag.planners.tasks.recovery import Ladder, ProgressWatch, RecoveryConfig
 from turtlebag.planners.tasks.sector_rule import Decision, Sectors
@@ -219,27 +213,3 @@ def test_costmaps_of_a_live_layer_keep_their_frame():
     obstacles = layer()
     assert isinstance(obstacles.costmap, Costmap)
     np.testing.assert_array_equal(obstacles.costmap.T_map_grid.xyt, obstacles.static.T_map_grid.xyt)
-
-
-def test_a_recovery_leads_into_no_keepout_area_but_out_of_one():
-    area = np.array([[0.6, -0.8], [1.0, -0.8], [1.0, 1.8], [0.6, 1.8]])
-    costmap = costmap_from_grid(room(60, 60), CostmapConfig(), [area])
-    tools = Tools(
-        model=BURGER,
-        controller=Pursuit(BURGER, 1.0 / 30.0),
-        monitor=CollisionMonitor(BURGER),
-        obstacles=ObstacleLayer(costmap),
-        plan=PlanConfig(),
-        checker=GoalCheckerConfig(),
-        recovery=RecoveryConfig(),
-        publisher=NoBag(),
-        seed=0,
-    )
-
-    def room_after(x: float, v: float) -> float:
-        tick = Tick(0, SE2.from_xyt(x, 0.5, 0.0), Twist(), Twist(), NOTHING, True, False)
-        return tools.room_after(Twist(v, 0.0), 0.15, tick)
-
-    assert room_after(0.45, 0.1) == -math.inf
-    assert room_after(0.45, -0.1) > 0.1
-    assert room_after(0.65, -0.1) > 0.0 > room_after(0.65, 0.1)

@@ -170,8 +170,9 @@ def test_the_goal_checker_wants_position_heading_standstill_and_time():
     inside, still = SE2.from_xyt(1.02, 1.0, 0.53), Twist()
     assert not checker.reached(0, inside, still)
     assert not checker.reached(200_000_000, inside, still)
-    assert checker.reached(300_000_000, inside, still)
-    assert not checker.reached(400_000_000, SE2.from_xyt(1.034, 1.0, 0.5), still)
+    # Hysteresis: a little outside again is still counted, far outside is not.
+    assert checker.reached(300_000_000, SE2.from_xyt(1.034, 1.0, 0.5), still)
+    assert not checker.reached(400_000_000, SE2.from_xyt(1.05, 1.0, 0.5), still)
     assert not checker.reached(10**9, inside, Twist(0.1, 0.0))
     assert not checker.reached(2 * 10**9, SE2.from_xyt(1.0, 1.0, 0.6), still)
 

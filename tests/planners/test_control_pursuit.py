@@ -9,7 +9,7 @@ import pytest
 from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import Twist
-from turtlebag.planners.control.collision_monitor import CollisionMonitor, free_time, padded
+from turtlebag.planners.control.collision_monitor import CollisionMonitor, free_time, moved, padded
 from turtlebag.planners.control.controller import Ramped, SpeedLimits, ramped
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.pursuit import (
@@ -217,24 +217,24 @@ def test_limits_are_the_narrower_of_robots_and_configuration():
     assert both.brake(Twist(0.2, 0.0)) == Twist(0.1, 0.0)
 
 
-def test_the_goal_checker_counts_its_hold():
+def test_the_goal_checker_is_wider_once_inside_and_counts_its_hold():
     config = GoalCheckerConfig(hold=0.3)
     goal, still = SE2.from_xyt(1.0, 1.0, 3.1), Twist(0.01, 0.06)
     out = SE2.from_xyt(1.035, 1.0, 3.1)
     assert not GoalChecker(config, goal).reached(0, out, still)
     checker = GoalChecker(config, goal)
     assert not checker.reached(0, SE2.from_xyt(1.0299, 1.0, 3.1), still)
-    assert not checker.reached(299_999_999, goal, still)
-    assert checker.reached(300_000_000, SE2.from_xyt(1.0, 1.0, 3.149), still)
+    assert not checker.reached(299_999_999, out, still)
+    assert checker.reached(300_000_000, out, still)
     for pose, twist in (
-        (SE2.from_xyt(1.0301, 1.0, 3.1), still), (SE2.from_xyt(1.0, 1.0, 3.1 + 0.0501), still),
+        (SE2.from_xyt(1.0361, 1.0, 3.1), still), (SE2.from_xyt(1.0, 1.0, 3.1 + 0.0601), still),
         (goal, Twist(0.011, 0.0)), (goal, Twist(0.0, -0.061)),
     ):  # fmt: skip
         checker = GoalChecker(config, goal)
         assert not checker.reached(0, goal, still)
         assert not checker.reached(10**9, pose, twist)
         assert not checker.reached(2 * 10**9, goal, still)
-        assert checker.reached(3 * 10**9, SE2.from_xyt(1.0, 1.0, 3.1 + 0.049 - 2 * math.pi), still)
+        assert checker.reached(3 * 10**9, SE2.from_xyt(1.0, 1.0, 3.1 + 0.059 - 2 * math.pi), still)
     passing = GoalChecker(GoalCheckerConfig(hold=0.0, stop=False), goal)
     assert passing.reached(0, goal, Twist(0.2, 0.0))
 
@@ -257,3 +257,15 @@ def test_the_monitor_allows_the_speed_that_stops_within_the_free_way(v, w):
     assert factors[-1] == 1.0 > factors[0]
     assert monitor.limit(Twist(), points) == 1.0
     assert monitor.limit(Twist(v, w), points[:0]) == 1.0
+    # beside a wall on the map: what ends in it is stopped, unless it gets freer
+    for x in (0.9, 1.0, 1.03, 1.06, 1.1):
+        lethal = np.zeros((40, 60), dtype=bool)
+        lethal[:, 24] = True
+        field = Costmap(lethal, 0.05, SE2.identity()).clearance
+        s = monitor._samples
+        clear = lambda p: footprint_clearance(field, 0.05, s, *p)  # noqa: B023, E731
+        at = (x, 1.0, 0.2)
+        rooms = [clear(moved(*at, v, w, part * horizon)) for part in (0.5, 1.0)]
+        stops = any(r <= 0.0 and r < clear(at) for r in rooms)
+        assert monitor.limit_on_map(Twist(v, w), field, 0.05, *at) == (0.0 if stops else 1.0)
+    assert monitor.limit_on_map(Twist(), field, 0.05, 1.21, 1.0, 0.0) == 1.0
