@@ -31,6 +31,8 @@ EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
 CAUGHT = ("failed", "timeout")
 GRACE_S, COMPILE_S = 20.0, 150.0
 """Processor time of a run besides four times that of its tests, and what compiling a mutated kernel takes."""
+PATIENCE = 10.0
+"""Seconds by the clock that a run may take for each of processor time, which it may share with others."""
 MEMORY = 8 << 30
 # What is imported as `turtlebag.planners` is the copy's folder `planners`, and not what is installed.
 PACKAGE = "from pathlib import Path\n\n__path__ = [str(Path(__file__).parents[1])]\n"
@@ -84,7 +86,7 @@ class Tree:
                 start_new_session=True, preexec_fn=lambda: _limited(cpu_s),
             )  # fmt: skip
             try:
-                code = child.wait(10.0 * cpu_s)  # the processor may be shared with others
+                code = child.wait(PATIENCE * cpu_s)
             except subprocess.TimeoutExpired:
                 os.killpg(child.pid, signal.SIGKILL)
                 code = child.wait()

@@ -101,6 +101,7 @@ def test_where_no_test_of_the_subject_imports_the_module_those_elsewhere_are_ask
 @pytest.mark.slow
 def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch):
     monkeypatch.setattr("tests.mutants.__main__.GRACE_S", 1.0)
+    monkeypatch.setattr("tests.mutants.__main__.PATIENCE", 3.0)
     source = (tree.path / "planners/a.py").read_text()
     lines = mutants_by_line(source, "planners/a.py")
     by_edit = {mutant.key.partition(" => ")[2]: mutant for line in lines for mutant in line}
