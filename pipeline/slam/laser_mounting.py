@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import USABLE_M
 from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
-from turtlebag.pipeline.slam.turn_comparison import PERIOD_S, tracked_alone, usual_period
+from turtlebag.pipeline.slam.turn_comparison import PERIOD_S, SCANS, STRETCHES, tracked_alone, usual_period
 
-# This many stretches of this many scans, at least PERIOD_S apart, are compared; this many must be usable.
-STRETCHES, SCANS, ENOUGH = 24, 6, 8
 # A stretch is usable if the robot drove at least this far [m], and scans and odometry agree on the distance
-# to within this share.
-LEAST_WAY_M, SHARE = 0.1, 0.2
+# to within GROSS; a quarter of the stretches must be usable.
+LEAST_WAY_M = 0.1
 # The stretches agree if their mean direction is at least this long: 0.94 to 1 in 34 logs with enough of them.
 AGREEING = 0.9
 # The correction is rounded to this [deg], so that all recordings of one robot get the same one and small
@@ -51,8 +50,8 @@ def turned_by_deg(recording: Recording) -> float:
     noise = range_noise(recording, USABLE_M)
     ways = np.array([_ways(recording, stretch, noise) for stretch in _stretches(recording)]).reshape(-1, 2)
     by_scans, by_odometry = ways[np.abs(ways[:, 1]) >= LEAST_WAY_M].T
-    usable = np.abs(np.abs(by_scans) - np.abs(by_odometry)) <= SHARE * np.abs(by_odometry)
-    if np.count_nonzero(usable) < ENOUGH:
+    usable = np.abs(np.abs(by_scans) - np.abs(by_odometry)) <= GROSS * np.abs(by_odometry)
+    if np.count_nonzero(usable) < STRETCHES // 4:
         return 0.0
     turns = by_odometry[usable] / by_scans[usable]
     mean = np.mean(turns / np.abs(turns))

@@ -23,6 +23,7 @@ from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.joint_refinement import RADIUS_M, overlapping_pairs
 from turtlebag.pipeline.slam.point_to_line_icp import NEIGHBOURS, STEP_COVARIANCE_SCALE
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square
 # of the range.
@@ -33,8 +34,6 @@ OFFSET_M, SHARE = 0.01, 0.01
 # Standard deviation of the scale between two turns of the head. A guess, but not sensitive: with 0.0067, and
 # without a bound, the ranges of 16 simulated drives were 4.1 and 4.6 mm off, without the scale 5.1.
 TURN_SHARE = 0.005
-# This many key scans are used, all of a house; with all of an office, twice as many, the result was the same.
-FIRST_KEYS = 400
 # The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
 # Lines this many beams to either side must have the same direction: lines cut corners and bend round pillars,
@@ -42,9 +41,6 @@ ROUNDS = 5
 BESIDE = 6
 # Surfaces met at a smaller sine than this say little about ranges.
 GRAZING_SINE = 0.25
-# An error this significant appears once in twenty times for a lidar without one: chi-squared with two degrees
-# of freedom.
-CHANCE = 5.99
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ def calibrate_ranges(
         value = value - np.linalg.solve(
             h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
         )
-    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > CHANCE
+    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGMAS**2
     return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
 
 

@@ -31,12 +31,7 @@ from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.odometry_trust import distrusted, jumps
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
-from turtlebag.pipeline.slam.range_calibration import (
-    FIRST_KEYS,
-    TRIANGULATES_M,
-    RangeCalibration,
-    calibrate_ranges,
-)
+from turtlebag.pipeline.slam.range_calibration import TRIANGULATES_M, RangeCalibration, calibrate_ranges
 from turtlebag.pipeline.slam.repeated_scans import without_repeats
 from turtlebag.pipeline.slam.reregistration import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.selfcheck import SelfCheck, check_map
@@ -275,11 +270,11 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
 def _range_errors(
     recording: Recording, clouds_of: CloudsOf, track: Track, config: SlamConfig
 ) -> RangeCalibration:
-    """The range error of a short-range lidar, by the first key scans."""
+    """The range error of a short-range lidar, by the key scans."""
     if not config.calibrate_ranges or recording.lidar.range_max > TRIANGULATES_M:
         return RangeCalibration()
-    keys = track.keys[:FIRST_KEYS]
-    clouds, usable = among(clouds_of(keys), keys, len(recording)), config.usable(recording.lidar)
+    keys, usable = track.keys, config.usable(recording.lidar)
+    clouds = among(clouds_of(keys), keys, len(recording))
     return calibrate_ranges(clouds, keys, track.T_track_base[keys], usable)
 
 

@@ -96,7 +96,5 @@ def height_colours(z: Array) -> Array:
     """Colours (n, 3) from blue (low) over green to red (high), by the heights' own range."""
     if len(z) == 0:
         return np.zeros((0, 3))
-    low, high = np.percentile(z, [1.0, 99.0])
-    f = np.clip((z - low) / max(high - low, 1e-6), 0.0, 1.0)
-    bands = [np.clip(1.5 - np.abs(4.0 * f - k), 0.0, 1.0) for k in (3.0, 2.0, 1.0)]
-    return np.stack(bands, axis=-1)
+    heights = np.percentile(z, [0.0, 50.0, 100.0])
+    return np.stack([np.interp(z, heights, band) for band in np.eye(3)[::-1]], axis=-1)

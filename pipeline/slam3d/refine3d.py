@@ -10,20 +10,17 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.joint_refinement import RefineConfig, in_rounds, overlapping_pairs
-from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, NEIGHBOURS
-from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, LEAST_OVERLAP, NEIGHBOURS
+from turtlebag.pipeline.slam3d.key_clouds import FIT_POINTS, REACH, Keys, Places, thinned
 from turtlebag.pipeline.slam3d.surfels import (
     COVARIANCE_SCALE,
     GATE_VOXELS,
     KERNEL_M,
-    LEAST_OVERLAP,
     observable,
 )
 
 RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""
-POINTS = 1500
-"""Points of a cloud that are aligned."""
 CARRIED_GATE_M, CARRIED = 0.1, np.full(12, 0.01)
 """How far off a pose that the keys have carried may be, and its standard deviations [m, rad]."""
 
@@ -46,7 +43,7 @@ def refine(
         # either is the place of the other; in order, so that each place is made once
         for i, j in sorted([*apart.tolist(), *apart[:, ::-1].tolist()]):
             guess = se3.inverse(poses[i]) @ poses[j]
-            result = places.fit(i, keys.points(j, POINTS), guess, gate)
+            result = places.fit(i, keys.points(j, FIT_POINTS), guess, gate)
             if result.overlap >= LEAST_OVERLAP:
                 information = observable(result.information) / COVARIANCE_SCALE
                 found.append(Constraint(i, j, result.T, information, "pair", CAUCHY))
@@ -62,6 +59,6 @@ def reregistered(places: Places, points: Array, T_map_carried: Array) -> Array:
     near = places.nearest(T_map_carried)
     T_map_key = places.T_map_keys[near]
     guess = se3.inverse(T_map_key) @ T_map_carried
-    found = places.fit(near, thinned(points, POINTS), guess, CARRIED_GATE_M, CARRIED)
+    found = places.fit(near, thinned(points, FIT_POINTS), guess, CARRIED_GATE_M, CARRIED)
     near_enough = np.linalg.norm((found.T - guess)[:3, 3]) <= CARRIED_GATE_M
     return T_map_key @ found.T if found.overlap >= LEAST_OVERLAP and near_enough else T_map_carried

@@ -19,7 +19,7 @@ from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.joint_refinement import RefineConfig
 from turtlebag.pipeline.slam.loop_closure import Progress
-from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, LEAST_OVERLAP
 from turtlebag.pipeline.slam.reregistration import carried_poses
 from turtlebag.pipeline.slam.slam import Sensors, no_progress
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
@@ -30,7 +30,7 @@ from turtlebag.pipeline.slam3d.refine3d import refine, reregistered
 from turtlebag.pipeline.slam3d.selfcheck3d import SelfCheck3d, check_map
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup, find_setup
 from turtlebag.pipeline.slam3d.slices import SLICE_REACH_M, SliceConfig, SliceGrid
-from turtlebag.pipeline.slam3d.surfels import COVARIANCE_SCALE, LEAST_OVERLAP, observable
+from turtlebag.pipeline.slam3d.surfels import COVARIANCE_SCALE, observable
 from turtlebag.pipeline.slam3d.sweeps import Sweep, sweeps_of
 
 HOLD = np.array([0.1, 0.1, 0.2, 0.3, 0.3, 0.3])

@@ -139,8 +139,6 @@ class Fit:
     motion: Array | None = None
 
 
-LEAST_OVERLAP = 0.35
-"""A cloud with a smaller overlap with a place does not fit it."""
 KERNEL_M, GATE_VOXELS = 0.03, 0.7
 """Width of the Geman-McClure weight of a distance; the largest distance that counts once a pose is nearly
 right."""
