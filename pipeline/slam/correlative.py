@@ -30,19 +30,17 @@ class Field(NamedTuple):
     resolution: float
 
 
-def make_field(
-    clouds: Clouds, keys: NDArray[np.int64], T_map_keys: Array, resolution: float, sigma: float
-) -> Field:
-    """Smoothed field of key scans at poses (k, 3); a point's influence falls off with `sigma` [m]."""
+def make_field(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: Array, resolution: float) -> Field:
+    """Field of key scans at poses (k, 3), smoothed: a point's influence falls off by one cell."""
     points = points_in_map(clouds.points, clouds.starts, np.asarray(keys, dtype=np.int64), T_map_keys)
     if len(points) == 0:
         return Field(np.full((1, 1), UNSEEN, dtype=np.uint8), np.zeros(2), resolution)
-    margin = SIGMAS * sigma + 2.0 * resolution
+    margin = (SIGMAS + 2.0) * resolution
     corner = points.min(axis=0) - margin
     cols, rows = np.ceil((points.max(axis=0) + margin - corner) / resolution).astype(int) + 1
-    reach = math.ceil(SIGMAS * sigma / resolution)
-    offsets = np.arange(-reach, reach + 1) * resolution
-    stamp = np.exp(-(offsets[:, None] ** 2 + offsets[None, :] ** 2) / (2.0 * sigma * sigma))
+    reach = math.ceil(SIGMAS)
+    offsets = np.arange(-reach, reach + 1)
+    stamp = np.exp(-0.5 * (offsets[:, None] ** 2 + offsets[None, :] ** 2))
     values = np.full((rows, cols), UNSEEN, dtype=np.uint8)
     _see_through(values, clouds, np.asarray(keys, dtype=np.int64), T_map_keys, corner, resolution)
     _splat(values, points, corner, resolution, np.round(HIT * stamp).astype(np.uint8))

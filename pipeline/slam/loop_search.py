@@ -109,8 +109,9 @@ def close_loops(
 BATCH = 48
 # A key is searched at this many of the places within its gate, nearest first.
 PLACES = 3
-# Resolutions of the coarse search [m], [rad].
+# Resolutions of the coarse search [m], [rad], and of the fine one.
 CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
+FINE_M, FINE_RAD = 0.07, 0.01
 # Distance driven between keys in addition to their distance: the robot may have turned on the spot.
 TURNING_M = 0.05
 
@@ -248,10 +249,10 @@ class LoopFinder(LoopSearch):
         query = self._stretch(i, np.arange(max(0, i - config.group), i + 1))
         points = query.points(clouds)
         points = points[:: max(1, len(points) // 300)]
-        coarse_field = make_field(clouds, place.scans, place.T_about_scans, CELL_M, 0.15)
+        coarse_field = make_field(clouds, place.scans, place.T_about_scans, CELL_M)
         coarse, _ = best_pose(coarse_field, points, guess, gate, turn_gate, TURN_RAD)
-        fine_field = make_field(clouds, place.scans, place.T_about_scans, 0.05, 0.07)
-        fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, 0.01)
+        fine_field = make_field(clouds, place.scans, place.T_about_scans, FINE_M)
+        fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, FINE_RAD)
         if score < config.min_score:
             return Loop(i, j, fine, score, 0.0, 0.0, np.eye(3), "low score", gate)
         found = self.matcher.match(clouds, query, place, fine, ROUGH)

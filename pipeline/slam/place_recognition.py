@@ -22,7 +22,7 @@ from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
-from turtlebag.pipeline.slam.correspondences import ROUGH, Limits
+from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, MOST_VIOLATIONS, NEAR_M, THROUGH_M, mean_violation
@@ -50,9 +50,8 @@ from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts
 ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
 # Submaps made at one place count as one if the cosine between their headings is larger than this.
 SAME_WAY = 0.7
-# A submap is aligned starting from the result of the image correlation; its other scans are judged at the
-# pose found.
-FROM_PICTURES, AS_PUT = Limits(0.4, 0.15), Limits(0.12, 0.06, iterations=0)
+# A submap's other scans are judged at the pose found.
+AS_PUT = FINE._replace(iterations=0)
 
 
 class PlaceRecognitionConfig(Settings):
@@ -171,13 +170,11 @@ def _settled(
     clouds, keys = scans
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
-    pose = start
-    for limits in (FROM_PICTURES, ROUGH):
-        result = matcher.match(clouds, middle, there, pose, limits)
-        require_alignment(matcher, result)
-        pose = result.T_map_base.xyt
-        if result.overlap < config.min_overlap:  # no need to ask the other scans
-            return _low_overlap(query, other, score, result)
+    result = matcher.match(clouds, middle, there, start, ROUGH)
+    require_alignment(matcher, result)
+    pose = result.T_map_base.xyt
+    if result.overlap < config.min_overlap:  # no need to ask the other scans
+        return _low_overlap(query, other, score, result)
     few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
     overlap = 1.0
     for k, T in zip(few, at, strict=True):

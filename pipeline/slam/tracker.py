@@ -23,7 +23,7 @@ from turtlebag.pipeline.slam.correlative import Field, best_pose, make_field
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed, require_placed
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
-# Key scans in the coarse search's field, and the size of its cells, which is also that of its blur [m].
+# Key scans in the coarse search's field, and the size of its cells [m].
 FIELD_KEYS, FIELD_M = 30, 0.1
 # Odometry is calibrated again whenever the number of key scans has doubled, from this many on.
 FIRST_CALIBRATION = 25
@@ -118,7 +118,7 @@ class Tracker:
     def field(self) -> Field:
         """The last key scans as a field to search in."""
         if self._field is None:
-            self._field = make_field(self.clouds, *self.last_keys(FIELD_KEYS), FIELD_M, FIELD_M)
+            self._field = make_field(self.clouds, *self.last_keys(FIELD_KEYS), FIELD_M)
         return self._field
 
     def track(self, first: int = 0) -> Track:
