@@ -54,10 +54,9 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
         half = min(half, int(gate / r * scale) + 1)
     best, best_d2 = -1, gate * gate
     # Outwards, until all remaining points must be farther than the best: at an angle a, nothing is nearer
-    # than r sin a >= r (a - a^3 / 6). Of two at the same distance, the one at the smaller bearing counts.
+    # than r sin a. Of two at the same distance, the one at the smaller bearing counts.
     for away in range(half + 1):
-        angle = min((away - 1.000001) / scale, 1.4)
-        least = r * angle * (1.0 - angle * angle / 6.0)
+        least = r * math.sin(min((away - 1) / scale, 0.5 * math.pi))
         if away > 1 and least * least > best_d2:
             break
         for side in range(2 if away > 0 else 1):

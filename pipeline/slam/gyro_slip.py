@@ -21,9 +21,8 @@ from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, SIGMAS
 
 # A gyro with a longer period or longer gaps than this is not used across them [s].
 HOLE_S = 0.1
-# Gyro and odometry are compared over about a second each, where the gyro turns by at least this [rad]; fewer
-# of these than this are inconclusive, and half of them must agree within GROSS.
-WINDOW_S, TURNING_RAD, FEWEST = 1.0, 0.1, 8
+# Over fewer readings than this, and in all by less than this [rad], the two are not compared.
+FEWEST, TURNING_RAD = 8, 0.8
 # Standard deviations of a gyro's bias [rad/s] and of the difference between a turn by gyro and by wheels
 # [rad], to which ODOMETRY_SHARE of the turn and per metre is added.
 BIAS, NOISE_RAD = 0.01, 0.01
@@ -84,7 +83,7 @@ def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[f
         found = _apart(sign * turns[known], steps[known], waits[known])
         expected, _ = _expected(gyro, steps, stamps_ns, sign, found)
         likely = bool(np.all(np.abs(found) < SIGMAS * USUAL))
-        if likely and _agrees(expected[known], steps[known, 2], waits[known]):
+        if likely and _agrees(expected[known], steps[known, 2]):
             return sign, found
     return None
 
@@ -142,18 +141,11 @@ def _apart(turns: Array, steps: Array, waits: Array) -> Array:
     return found
 
 
-def _agrees(turns: Array, odometry: Array, waits: Array) -> bool:
-    """Whether the odometry turns with the gyro in most of the gyro's turns: slipping wheels turn alone."""
-    together = max(1, round(WINDOW_S / float(np.median(waits)))) if len(waits) else 1
-    starts = np.arange(0, len(turns), together)
-    if len(starts) < FEWEST:
-        return False
-    mine, theirs = np.add.reduceat(turns, starts), np.add.reduceat(odometry, starts)
-    turning = np.abs(mine) > TURNING_RAD
-    if np.count_nonzero(turning) < FEWEST:
-        return False
-    apart = np.abs(mine[turning] - theirs[turning]) / np.abs(mine[turning])
-    return bool(np.median(apart) < GROSS)
+def _agrees(turns: Array, odometry: Array) -> bool:
+    """Whether the odometry takes part in the gyro's turns, within GROSS: slipping wheels turn alone."""
+    turned = np.abs(turns)
+    missed = np.minimum(np.abs(turns - odometry), turned)
+    return bool(turned.sum() > TURNING_RAD and missed.sum() < GROSS * turned.sum())
 
 
 def _turned(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:

@@ -112,13 +112,11 @@ PLACES = 3
 # Resolutions of the coarse search [m], [rad], and of the fine one.
 CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
 FINE_M, FINE_RAD = 0.07, 0.01
-# Distance driven between keys in addition to their distance: the robot may have turned on the spot.
-TURNING_M = 0.05
 
 
 def step_lengths(poses: Array) -> Array:
     """The distance driven from each pose (n, 3) to the next [m], (n - 1,)."""
-    return np.asarray(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) + TURNING_M)
+    return np.asarray(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))
 
 
 class LoopSearch(ABC):

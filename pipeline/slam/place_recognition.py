@@ -61,9 +61,6 @@ class PlaceRecognitionConfig(Settings):
     candidates: int = Field(default=12, gt=0, description="number of most similar submaps to compare")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
-    ambiguous_share: float = Field(
-        default=0.35, gt=0.0, description="ambiguous if another place has this share of the support"
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +147,9 @@ def _candidates(
         like, pictures = similarity(query, others), Pictures()
         for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
             guess = between(poses[others[k].middle], poses[i])
-            for score, start in laid_on(query, others[k], pictures):
-                near = np.hypot(*(start[:2] - guess[:2])) < allowed[others[k].middle]
-                if near:
-                    found.append(_settled(scans, query, others[k], start, score, config, matcher))
+            laid = laid_on(query, others[k], pictures)
+            if laid is not None and np.hypot(*(laid[1] - guess)[:2]) < allowed[others[k].middle]:
+                found.append(_settled(scans, query, others[k], *laid, config, matcher))
     return found
 
 
@@ -161,8 +157,8 @@ def _settled(
     scans: KeyScans,
     query: Submap,
     other: Submap,
-    start: Array,
     score: float,
+    start: Array,
     config: PlaceRecognitionConfig,
     matcher: LoopMatch,
 ) -> Loop:
@@ -228,9 +224,7 @@ def _believed(
     believed = []
     for members, supporters, mean in feasible:
         ambiguous = any(
-            competing(members, other, comparable, agree)
-            and theirs >= config.ambiguous_share * supporters
-            and their_mean <= ALIKE_FACTOR * mean + ALIKE_FLOOR
+            competing(members, other, comparable, agree) and their_mean <= ALIKE_FACTOR * mean + ALIKE_FLOOR
             for other, theirs, their_mean in feasible
             if other is not members
         )

@@ -30,6 +30,8 @@ SURFACE_VAR = 0.05**2
 # Partners are looked up again only after the scan has moved this far [m], [rad]: until then a point slides
 # along its partner's line, which does not change its distance from the line.
 SAME_PARTNERS = 0.005
+# An alignment ends when a step is smaller [m, rad].
+SETTLED = 2e-4
 # Weight of the prior relative to the scan; where the scan observes nothing, any weight will do. With full
 # weight, the odometry's systematic turn leaks into every step (Intel: 20 degrees a lap).
 PRIOR_SHARE = 0.01
@@ -191,8 +193,9 @@ def align_kernel(
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
         pose[2] += step[2]
-        moved += abs(step[0]) + abs(step[1]) + abs(step[2])
-        if abs(step[0]) + abs(step[1]) < 2e-4 and abs(step[2]) < 1e-4:
+        size = abs(step[0]) + abs(step[1]) + abs(step[2])
+        moved += size
+        if size < SETTLED:
             break
     unknown = 0
     for i in range(lo, hi, stride):

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2, Array, wrapped
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
 
@@ -29,8 +29,6 @@ CELLS = 2 * (round(REACH_M / RESOLUTION_M) + MOST_SHIFT)
 # Bins of the normals' directions, 3 degrees each, and number of peaks of their correlation that are tried.
 HEADINGS = 120
 HEADING_PEAKS = 4
-# Number of candidate poses of two submaps.
-CANDIDATES = 2
 # The signature is made of this many points, paired, in bins of distance (this many, of this size [m]) and of
 # angle.
 PAIR_SAMPLE, PAIR_BINS, PAIR_BIN_M, ANGLE_BINS = 160, 24, 0.5, 6
@@ -96,35 +94,25 @@ Pictures = dict[int, tuple[NDArray[np.complex64], np.float32]]
 """Of a submap, by heading: the conjugate spectrum of its picture, and how many cells of that are filled."""
 
 
-def laid_on(query: Submap, other: Submap, pictures: Pictures) -> list[tuple[float, Array]]:
-    """The best distinct poses (3,) of the query's middle seen from the other's, with their scores 0..1.
+def laid_on(query: Submap, other: Submap, pictures: Pictures) -> tuple[float, Array] | None:
+    """The best pose (3,) of the query's middle seen from the other's, with its score 0..1; None if there is
+    none.
 
     `pictures` keeps those of the query for the next other submap.
     """
-    candidates: list[tuple[float, Array]] = []
     inner = query.points[np.linalg.norm(query.points, axis=1) < REACH_M - 2.0]
     headings = _headings(query.directions, other.directions)
     if len(inner) == 0 or not headings:
-        return []
+        return None
     if new := [heading for heading in headings if heading not in pictures]:
         pictures.update(_pictures(inner, new))
     # all headings in one transform, because calls cost more than the work
     products = other.spectrum * np.stack([pictures[heading][0] for heading in headings])
     filled = np.array([pictures[heading][1] for heading in headings])
-    scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / filled[:, None, None]
-    for yaw, window in zip(_yaws(headings).tolist(), _windows(scores), strict=True):
-        for value, dx, dy in _best_shifts(window, CANDIDATES):
-            candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
-    candidates.sort(key=lambda pair: -pair[0])
-    chosen: list[tuple[float, Array]] = []
-    for value, pose in candidates:
-        apart = [np.hypot(*(pose[:2] - old[:2])) for _, old in chosen]
-        turned = [abs((pose[2] - old[2] + np.pi) % (2.0 * np.pi) - np.pi) for _, old in chosen]
-        if all(d > 0.8 or a > 0.3 for d, a in zip(apart, turned, strict=True)):
-            chosen.append((value, pose))
-            if len(chosen) == CANDIDATES:
-                break
-    return chosen
+    scores = _windows(scipy.fft.irfft2(products, (CELLS, CELLS)) / filled[:, None, None])
+    heading, row, col = np.unravel_index(int(np.argmax(scores)), scores.shape)
+    shift = (np.array([col, row]) - MOST_SHIFT) * RESOLUTION_M
+    return float(scores[heading, row, col]), np.array([*shift, wrapped(_yaws(headings)[heading])])
 
 
 def _pictures(points: Array, headings: list[int]) -> Pictures:
@@ -186,15 +174,3 @@ def _windows(scores: NDArray[np.float32]) -> NDArray[np.float32]:
     """The considered shifts of correlations (n, CELLS, CELLS), no shift in the middle."""
     size = 2 * MOST_SHIFT + 1
     return np.asarray(np.roll(scores, (MOST_SHIFT, MOST_SHIFT), (1, 2))[:, :size, :size])
-
-
-def _best_shifts(window: NDArray[np.float32], count: int) -> list[tuple[float, float, float]]:
-    """The best translations of one of `_windows`, which is overwritten, at least 0.8 m apart: score, x, y
-    [m]."""
-    out = []
-    for _ in range(count):
-        row, col = divmod(int(np.argmax(window)), window.shape[1])
-        dx, dy = (col - MOST_SHIFT) * RESOLUTION_M, (row - MOST_SHIFT) * RESOLUTION_M
-        out.append((float(window[row, col]), dx, dy))
-        window[max(row - 4, 0) : row + 5, max(col - 4, 0) : col + 5] = 0.0
-    return out

@@ -25,8 +25,6 @@ from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 # Key scans in the coarse search's field, and the size of its cells [m].
 FIELD_KEYS, FIELD_M = 30, 0.1
-# Odometry is calibrated again whenever the number of key scans has doubled, from this many on.
-FIRST_CALIBRATION = 25
 
 
 class Tracker:
@@ -166,8 +164,7 @@ class Tracker:
         self._field = None
         if self._front_end is None and self._has_matches(self.scan):
             self._front_end = self._make(self)
-        times_first = len(self.keys) / FIRST_CALIBRATION
-        if times_first >= 1.0 and np.log2(times_first).is_integer():
+        if len(self.keys) & (len(self.keys) - 1) == 0:  # again whenever their number has doubled
             self.calibrate()
 
 

@@ -22,7 +22,7 @@ from turtlebag.pipeline.slam.kiss import LidarOdometry
 from turtlebag.pipeline.slam.point_to_line_icp import LEAST_OVERLAP
 from turtlebag.pipeline.slam3d.key_clouds import FIT_POINTS, Keys, gathered, thinned
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
-from turtlebag.pipeline.slam3d.surfels import KERNEL_M, Fit, Seen, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.surfels import Fit, Seen, Surfels, fit, make_surfels
 from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M, Sweep
 
 FrontEnd3d = Literal["surfels", "kiss_icp", "odometry"]
@@ -109,7 +109,7 @@ class Tracker:
             return Fit(guesses[0], np.zeros((6, 6)), 1.0, 0.0), guesses[0]
         points = sweep.deskewed(self._twist)
         tried = [(self._registered(sweep, points, guess), guess) for guess in guesses]
-        return max(tried, key=lambda one: one[0].overlap - 0.1 * one[0].rmse / KERNEL_M)
+        return max(tried, key=lambda one: one[0].overlap)
 
     def _guesses(self, index: int) -> list[Array]:
         """Predicted poses, the most trusted first."""

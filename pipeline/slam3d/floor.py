@@ -62,8 +62,8 @@ def _lowest(points: Array, reach: Array, reach_m: float) -> Array:
 
 
 def _refined(points: Array, plane: Array) -> Floor:
-    for near in (NEAR_M, NEAR_M, 0.6 * NEAR_M, 0.6 * NEAR_M):
-        inliers = points[np.abs(points @ plane[:3] + plane[3]) < near]
+    for _ in range(4):
+        inliers = points[np.abs(points @ plane[:3] + plane[3]) < NEAR_M]
         mean = inliers.mean(axis=0)
         normal = np.linalg.eigh(np.cov((inliers - mean).T))[1][:, 0]
         normal = normal * (1.0 if normal[2] >= 0.0 else -1.0)

@@ -151,7 +151,7 @@ def test_a_round_corridor_leaves_the_turn_about_its_centre_open_and_nothing_else
 
 def test_search_finds_a_pose_far_off(room):
     clouds, poses = room
-    field = make_field(clouds, np.arange(4), poses[:4], 0.1, 0.12)
+    field = make_field(clouds, np.arange(4), poses[:4], 0.1)
     start = HERE + np.array([0.7, -0.6, 0.4])
     pose, score = best_pose(field, clouds.of(4), start, 1.0, 0.6, 0.03)
     np.testing.assert_allclose(pose, HERE, atol=0.08)
@@ -161,7 +161,7 @@ def test_search_finds_a_pose_far_off(room):
 def test_what_was_seen_empty_denies_and_what_was_not_seen_does_not():
     """One scan from within the room: its free space, its walls, and what lies behind them."""
     clouds = make_clouds(recording(ROOM, np.array([[1.5, 1.2, 0.3]]), noise=0.0), 30.0)
-    field = make_field(clouds, np.array([0]), np.array([[1.5, 1.2, 0.3]]), 0.05, 0.05)
+    field = make_field(clouds, np.array([0]), np.array([[1.5, 1.2, 0.3]]), 0.05)
 
     def value(x, y):
         return field.values[tuple(((np.array([y, x]) - field.corner[::-1]) / field.resolution).astype(int))]

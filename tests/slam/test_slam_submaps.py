@@ -93,18 +93,6 @@ def test_the_picture_of_a_submap_is_blurred_by_a_cell():
     np.testing.assert_allclose(image, expected, atol=1e-5)
 
 
-def test_the_best_shifts_are_the_peaks_of_the_window_four_cells_apart():
-    score = np.random.default_rng(2).random((submaps.CELLS, submaps.CELLS)).astype(np.float32)
-    shifts = np.arange(-submaps.MOST_SHIFT, submaps.MOST_SHIFT + 1)
-    values = {(int(dy), int(dx)): float(score[dy, dx]) for dy in shifts for dx in shifts}
-    expected = []
-    for _ in range(5):
-        dy, dx = max(values, key=lambda k: values[k])
-        expected.append((values[dy, dx], dx * 0.25, dy * 0.25))
-        values = {k: v for k, v in values.items() if max(abs(k[0] - dy), abs(k[1] - dx)) > 4}
-    assert submaps._best_shifts(submaps._windows(score[None])[0], 5) == expected
-
-
 @pytest.mark.parametrize("off", [(1.0, -0.5, 0.6), (-2.0, 1.5, -2.4), (0.25, 0.5, 3.0)])
 def test_a_submap_is_laid_on_itself_moved(off):
     poses = around_the_room(40)
@@ -116,10 +104,9 @@ def test_a_submap_is_laid_on_itself_moved(off):
     shifted = poses[keys].copy()
     shifted[6] = (SE2(shifted[6]) @ T).xyt
     query = submaps.make_submap(clouds, keys, shifted, 6, np.delete(chosen, 4))
-    best = submaps.laid_on(query, other, {})
-    assert 1 <= len(best) <= submaps.CANDIDATES
-    assert best[0][0] == max(score for score, _ in best) > 0.6
-    apart = SE2(best[0][1]).inverse() @ T
+    score, pose = submaps.laid_on(query, other, {})
+    assert score > 0.6
+    apart = SE2(pose).inverse() @ T
     assert np.hypot(apart.x, apart.y) < 0.3
     assert abs(float(apart.yaw)) < 0.08
 

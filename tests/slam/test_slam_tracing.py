@@ -222,18 +222,17 @@ def test_a_sweep_in_motion_is_drawn_by_its_own_odometry_or_by_what_it_is_told():
 @pytest.mark.slow
 def test_a_field_holds_how_near_the_nearest_point_is():
     clouds = make_clouds(recording(ROOM, around_the_room(3)), 30.0)
-    poses, res, sigma = around_the_room(3) + np.array([0.1, -0.2, 0.3]), 0.1, 0.15
-    field = make_field(clouds, np.array([2, 0]), poses[[2, 0]], res, sigma)
+    poses, res = around_the_room(3) + np.array([0.1, -0.2, 0.3]), 0.1
+    field = make_field(clouds, np.array([2, 0]), poses[[2, 0]], res)
     points = np.vstack([SE2(poses[k]) @ clouds.of(k) for k in (2, 0)])
-    margin = 3.0 * sigma + 2.0 * res
+    margin = 5.0 * res
     np.testing.assert_allclose(field.corner, points.min(axis=0) - margin)
     cells = np.unique(np.floor((points - field.corner) / res).astype(int), axis=0)
     rows, cols = field.values.shape
     assert (np.array([cols, rows]) * res >= points.max(axis=0) - field.corner + margin).all()
     around = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1)[:, :, None] - cells
-    reach = math.ceil(3.0 * sigma / res)
-    value = np.round(255.0 * np.exp(-np.sum((around * res) ** 2, axis=-1) / (2.0 * sigma**2)))
-    value[np.abs(around).max(axis=-1) > reach] = 0.0
+    value = np.round(255.0 * np.exp(-0.5 * np.sum(around**2, axis=-1)))
+    value[np.abs(around).max(axis=-1) > 3] = 0.0
     # what a beam passed through is empty, all else unseen
     seen = np.zeros((rows, cols), dtype=bool)
     for k in (2, 0):
@@ -244,7 +243,7 @@ def test_a_field_holds_how_near_the_nearest_point_is():
             way = way[((way >= 0) & (way < [cols, rows])).all(axis=1)]
             seen[way[:, 1], way[:, 0]] = True
     np.testing.assert_array_equal(field.values, np.maximum(value.max(axis=-1), np.where(seen, 0, UNSEEN)))
-    empty = make_field(clouds, np.zeros(0, dtype=np.int64), np.zeros((0, 3)), res, sigma)
+    empty = make_field(clouds, np.zeros(0, dtype=np.int64), np.zeros((0, 3)), res)
     assert empty.values.tolist() == [[UNSEEN]]
 
 
