@@ -73,7 +73,7 @@ class Calibration:
 
     def information(self, steps: Array) -> Array:
         """Information (..., 3, 3) of corrected steps (..., 3), errors growing as a random walk."""
-        sigma = self.noise * np.sqrt(_baselines(steps))[..., None] + LEAST_NOISE
+        sigma = self.noise * np.sqrt(_baselines(steps))[..., None] + 0.3 * LEAST_NOISE
         return np.eye(3) * sigma[..., None, :] ** -2.0
 
 
@@ -153,7 +153,7 @@ def _joint(information: Array, noise: Array) -> Array:
 def _noise(left: Array, information: Array) -> Array:
     """Standard deviations by the median of the residuals, pulled to the usual ones if there are few pairs."""
     variance = np.diagonal(np.linalg.inv(information + WEAK * np.eye(3)), axis1=1, axis2=2)
-    sees = variance < USUAL_NOISE**2
+    sees = variance < 4.0 * USUAL_NOISE**2
     out = USUAL_NOISE.copy()
     for k in range(3):
         n = np.count_nonzero(sees[:, k])

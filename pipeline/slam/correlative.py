@@ -20,6 +20,8 @@ from turtlebag.pipeline.slam.range_noise import SIGMAS
 
 # The score of an unseen cell, 0..255.
 HIT, UNSEEN = 255, 128
+# Turns of a coarse search [rad].
+TURN_RAD = 0.03
 
 
 class Field(NamedTuple):

@@ -18,7 +18,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
-from turtlebag.pipeline.slam.correlative import best_pose
+from turtlebag.pipeline.slam.correlative import TURN_RAD, best_pose
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.kiss import SURELY_BETTER, KissIcp
@@ -46,8 +46,8 @@ DOUBTED_SCANS, SURELY_THERE = 12, 0.92
 # A scan fits if its cost exceeds the usual cost by no more than this; the usual cost starts at this value and
 # follows that of each scan with this weight.
 FITS, USUAL_COST, FOLLOWS = 0.25, 0.3, 0.02
-# Where the track may be lost, the scan is searched within this window [m, rad], in turns of this step [rad].
-LOST, LOST_STEP_RAD = 1.0, 0.035
+# Where the track may be lost, the scan is searched within this window [m, rad].
+LOST = 1.0
 # Weight of the odometry's normalised innovation squared (NIS, under a Cauchy kernel) against the misfit of
 # points, as if it were this many of all points.
 NIS_WEIGHT = 0.01
@@ -194,9 +194,7 @@ class Lines:
     def _recover(self, scan: int, centers: list[Array]) -> Array:
         """Exhaustive search in a wide window around each centre, because the track may be lost."""
         points = self.tracker.clouds.of(scan)[::4]
-        found = [
-            best_pose(self.tracker.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
-        ]
+        found = [best_pose(self.tracker.field, points, center, LOST, LOST, TURN_RAD) for center in centers]
         return max(found, key=lambda pair: pair[1])[0]
 
 

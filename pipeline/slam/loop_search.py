@@ -22,7 +22,7 @@ from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import KeyScans
-from turtlebag.pipeline.slam.correlative import best_pose, make_field
+from turtlebag.pipeline.slam.correlative import TURN_RAD, best_pose, make_field
 from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, Loop
@@ -109,9 +109,9 @@ def close_loops(
 BATCH = 48
 # A key is searched at this many of the places within its gate, nearest first.
 PLACES = 3
-# Resolutions of the coarse search [m], [rad], and of the fine one.
-CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
-FINE_M, FINE_RAD = 0.07, 0.01
+# Cells of the coarse search [m] and its widest turn [rad]; resolutions of the fine one [m], [rad].
+CELL_M, MOST_TURN_RAD = 0.2, 0.8
+FINE_M, FINE_RAD = 0.05, 0.01
 
 
 def step_lengths(poses: Array) -> Array:

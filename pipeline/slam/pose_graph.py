@@ -53,7 +53,6 @@ class Gtsam:
             values.insert(k, pose(T))
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setMaxIterations(iterations)
-        parameters.setRelativeErrorTol(1e-5)
         found = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
         if isinstance(T_map_keys, SE2):
             poses = [found.atPose2(k) for k in range(len(start))]

@@ -62,8 +62,6 @@ class RangeCalibration:
     def applied(self, recording: Recording) -> Recording:
         """The recording with corrected ranges; a return remains a return."""
         ranges, lidar = recording.ranges, recording.lidar
-        if self == RangeCalibration():
-            return recording
         back, metre = lidar.returns(ranges), ranges.dtype.type
         read = np.where(back, ranges, 0.0).astype(np.float64)
         ends = max(lidar.range_min, NOTHING_M), np.nextafter(metre(lidar.range_max), metre(0.0))

@@ -55,7 +55,7 @@ class CloudMap:
         for stride in (1, 2 * LIMIT, 4 * LIMIT * LIMIT):
             for step in (-stride, stride):
                 beside = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
-                near = np.linalg.norm(means[beside] - means, axis=1) < 0.8 * self.voxel
+                near = np.linalg.norm(means[beside] - means, axis=1) < self.voxel
                 fringe |= (keys[beside] == keys + step) & near & (counts[beside] > FRINGE * counts)
         return means[(counts >= least) & ~fringe]
 
@@ -64,7 +64,7 @@ class CloudMap:
         waiting = [np.column_stack([points, np.ones(len(points))]) for points in self._waiting]
         self._sums, self._waiting = self._summed(np.vstack([self._sums, *waiting])), []
         while len(self._sums) > self._most:
-            self.voxel *= 1.5
+            self.voxel *= 2.0
             self._sums = self._summed(self._sums)
 
     def _summed(self, sums: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import NOTHING_M
 
 MAX_TILT_RAD = 0.5
 NEAR_M = 0.05
@@ -39,7 +40,9 @@ def find_floor(points: Array, reach_m: float) -> Floor | None:
         return None
     corners = lowest[stream(0, "floor").integers(0, len(lowest), size=(TRIES, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-6) * np.where(normals[:, 2] < 0.0, -1.0, 1.0)
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), NOTHING_M) * np.where(
+        normals[:, 2] < 0.0, -1.0, 1.0
+    )
     normals /= lengths[:, None]
     heights = -np.einsum("ij,ij->i", normals, corners[:, 0])
     over = normals @ lowest.T + heights[:, None]

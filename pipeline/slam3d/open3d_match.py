@@ -47,9 +47,9 @@ def pose_by_features(source: Featured, target: Featured, voxel: float, seed: int
         registration.TransformationEstimationPointToPoint(False),
         3,
         [
-            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            registration.CorrespondenceCheckerBasedOnEdgeLength(),
             registration.CorrespondenceCheckerBasedOnDistance(NEAR * voxel),
         ],
-        registration.RANSACConvergenceCriteria(ITERATIONS, 0.999),
+        registration.RANSACConvergenceCriteria(ITERATIONS),
     )
     return np.array(found.transformation)

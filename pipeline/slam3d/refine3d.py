@@ -8,9 +8,11 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.correspondences import FINE
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.joint_refinement import RefineConfig, in_rounds, overlapping_pairs
 from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, LEAST_OVERLAP, NEIGHBOURS
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 from turtlebag.pipeline.slam3d.key_clouds import FIT_POINTS, REACH, Keys, Places, thinned
 from turtlebag.pipeline.slam3d.surfels import (
     COVARIANCE_SCALE,
@@ -21,8 +23,8 @@ from turtlebag.pipeline.slam3d.surfels import (
 
 RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""
-CARRIED_GATE_M, CARRIED = 0.1, np.full(12, 0.01)
-"""How far off a pose that the keys have carried may be, and its standard deviations [m, rad]."""
+CARRIED = np.full(12, 0.01)
+"""Standard deviations of a pose that the keys have carried [m, rad]."""
 
 
 def refine(
@@ -49,7 +51,7 @@ def refine(
                 found.append(Constraint(i, j, result.T, information, "pair", CAUCHY))
         return found
 
-    rough = max(GATE_VOXELS * voxel, fine := 3.0 * KERNEL_M)
+    rough = max(GATE_VOXELS * voxel, fine := SIGMAS * KERNEL_M)
     return in_rounds(T_map_keys, steps, config.rounds, matched)
 
 
@@ -59,6 +61,6 @@ def reregistered(places: Places, points: Array, T_map_carried: Array) -> Array:
     near = places.nearest(T_map_carried)
     T_map_key = places.T_map_keys[near]
     guess = se3.inverse(T_map_key) @ T_map_carried
-    found = places.fit(near, thinned(points, FIT_POINTS), guess, CARRIED_GATE_M, CARRIED)
-    near_enough = np.linalg.norm((found.T - guess)[:3, 3]) <= CARRIED_GATE_M
+    found = places.fit(near, thinned(points, FIT_POINTS), guess, FINE.gate, CARRIED)
+    near_enough = np.linalg.norm((found.T - guess)[:3, 3]) <= FINE.gate
     return T_map_key @ found.T if found.overlap >= LEAST_OVERLAP and near_enough else T_map_carried

@@ -77,7 +77,7 @@ def carve(counts: Counts, ends: Array, start: Array, band: Array, most: float, s
             dx, dy, dz = ends[i, 0] - start[0], ends[i, 1] - start[1], ends[i, 2] - start[2]
             level = math.hypot(dx, dy)
             in_band = low <= ends[i, 2] <= high and level <= most
-            if in_band != with_return or level < 1e-6:
+            if in_band != with_return or level == 0.0:
                 continue
             enter, leave = 0.0, min(1.0, most / level)
             if dz == 0.0:
