@@ -110,11 +110,13 @@ BATCH = 48
 # Cells of the coarse search [m] and its widest turn [rad]; resolutions of the fine one [m], [rad].
 CELL_M, MOST_TURN_RAD = 0.2, 0.8
 FINE_M, FINE_RAD = 0.05, 0.01
+# Distance driven between keys in addition to their distance: the robot may have turned on the spot.
+TURNING_M = 0.05
 
 
 def step_lengths(poses: Array) -> Array:
     """The distance driven from each pose (n, 3) to the next [m], (n - 1,)."""
-    return np.asarray(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))
+    return np.asarray(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) + TURNING_M)
 
 
 class LoopSearch(ABC):
