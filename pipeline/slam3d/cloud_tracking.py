@@ -17,21 +17,21 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
-from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.kiss import LidarOdometry
-from turtlebag.pipeline.slam.point_to_line_icp import LEAST_OVERLAP
-from turtlebag.pipeline.slam3d.key_clouds import FIT_POINTS, Keys, gathered, thinned
+from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered, thinned
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
-from turtlebag.pipeline.slam3d.surfels import Fit, Seen, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Seen, Surfels, fit, make_surfels
 from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M, Sweep
 
 FrontEnd3d = Literal["surfels", "kiss_icp", "odometry"]
+LONGEST_STEP_S = 1.0
+"""Constant velocity is not believed for longer."""
 KEY_VOXELS, KEY_TURN_RAD, WINDOW = 1.5, 0.35, 15
 """A key cloud is taken after this way or turn; the last ones make the local map."""
 KISS_VOXELS = 1.5
 """KISS-ICP's voxel, where that is chosen, in voxels of the surfels."""
-KEY_POINTS = 5000
-"""Points that are kept of a key cloud."""
+KEY_POINTS, FIT_POINTS = 5000, 2500
+"""Points that are kept of a key cloud, and points of any cloud that are aligned."""
 APART = 0.1
 """Predictions that differ by this [m, rad] are both tried."""
 AT_ONCE = np.array([0.02, 0.02, 0.1, 0.3, 0.3, 0.03])
@@ -109,14 +109,14 @@ class Tracker:
             return Fit(guesses[0], np.zeros((6, 6)), 1.0, 0.0), guesses[0]
         points = sweep.deskewed(self._twist)
         tried = [(self._registered(sweep, points, guess), guess) for guess in guesses]
-        return max(tried, key=lambda one: one[0].overlap)
+        return max(tried, key=lambda one: one[0].overlap - 0.1 * one[0].rmse / KERNEL_M)
 
     def _guesses(self, index: int) -> list[Array]:
         """Predicted poses, the most trusted first."""
         if index == 0:
             return [self.track.T[0]]
         before = self.track.T[index - 1]
-        dt = min(max(self._seconds[index] - self._seconds[index - 1], 0.0), GAP_S)
+        dt = min(max(self._seconds[index] - self._seconds[index - 1], 0.0), LONGEST_STEP_S)
         steady = before @ se3.exp(self._twist * dt)
         T_odom = self.track.T_odom
         if T_odom is None:
@@ -159,7 +159,7 @@ class Tracker:
         dt = self._seconds[index] - self._seconds[index - 1] if index else 0.0
         if twist is not None:
             self._twist = twist
-        elif 0.0 < dt <= GAP_S:
+        elif 0.0 < dt <= LONGEST_STEP_S:
             self._twist = se3.log(se3.inverse(self.track.T[index - 1]) @ self.track.T[index]) / dt
         self.track.twists[index] = self._twist
 

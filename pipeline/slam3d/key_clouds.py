@@ -16,8 +16,6 @@ from turtlebag.pipeline.slam3d.surfels import LOOSE, Fit, Seen, Surfels, fit, ma
 
 REACH = 3
 """Keys before and after one that make its place."""
-FIT_POINTS = 1500
-"""Points of any cloud that are aligned."""
 
 
 @dataclass(eq=False)

@@ -11,18 +11,21 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.correspondences import FINE
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.joint_refinement import RefineConfig, in_rounds, overlapping_pairs
-from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, LEAST_OVERLAP, NEIGHBOURS
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.range_noise import SIGMAS
-from turtlebag.pipeline.slam3d.key_clouds import FIT_POINTS, REACH, Keys, Places, thinned
+from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
 from turtlebag.pipeline.slam3d.surfels import (
     COVARIANCE_SCALE,
     GATE_VOXELS,
     KERNEL_M,
+    LEAST_OVERLAP,
     observable,
 )
 
 RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""
+POINTS = 1500
+"""Points of a cloud that are aligned."""
 CARRIED = np.full(12, 0.01)
 """Standard deviations of a pose that the keys have carried [m, rad]."""
 
@@ -45,7 +48,7 @@ def refine(
         # either is the place of the other; in order, so that each place is made once
         for i, j in sorted([*apart.tolist(), *apart[:, ::-1].tolist()]):
             guess = se3.inverse(poses[i]) @ poses[j]
-            result = places.fit(i, keys.points(j, FIT_POINTS), guess, gate)
+            result = places.fit(i, keys.points(j, POINTS), guess, gate)
             if result.overlap >= LEAST_OVERLAP:
                 information = observable(result.information) / COVARIANCE_SCALE
                 found.append(Constraint(i, j, result.T, information, "pair", CAUCHY))
@@ -61,6 +64,6 @@ def reregistered(places: Places, points: Array, T_map_carried: Array) -> Array:
     near = places.nearest(T_map_carried)
     T_map_key = places.T_map_keys[near]
     guess = se3.inverse(T_map_key) @ T_map_carried
-    found = places.fit(near, thinned(points, FIT_POINTS), guess, FINE.gate, CARRIED)
+    found = places.fit(near, thinned(points, POINTS), guess, FINE.gate, CARRIED)
     near_enough = np.linalg.norm((found.T - guess)[:3, 3]) <= FINE.gate
     return T_map_key @ found.T if found.overlap >= LEAST_OVERLAP and near_enough else T_map_carried

@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.point_to_line_icp import LEAST_OVERLAP
 from turtlebag.pipeline.slam.pose_graph import residuals
 from turtlebag.pipeline.slam.selfcheck import APART_KEYS, MOST_WRONG
 from turtlebag.pipeline.slam.selfcheck_base import Verdict
 from turtlebag.pipeline.slam.track_breaks import gaps_between
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
+from turtlebag.pipeline.slam3d.surfels import LEAST_OVERLAP
 
+MOST_LOST, MOST_EMPTY = 0.02, 0.2
+"""Shares of clouds that fit nothing, of clouds with too few points; of revisits no more than MOST_WRONG may
+disagree."""
 APART_VOXELS = 0.5
 """A revisit that is off by more disagrees."""
 
@@ -46,9 +49,9 @@ def check_map(
     left = np.linalg.norm(residuals(T_map_keys, seen)[:, 3:], axis=1)
     disagreeing = float(np.mean(left > APART_VOXELS * voxel)) if len(left) else 0.0
     reasons = []
-    if empty > MOST_WRONG * len(track.T):
+    if empty > MOST_EMPTY * len(track.T):
         reasons.append(f"{empty} of {len(track.T)} clouds hold too few points")
-    if len(lost) > MOST_WRONG * len(track.T):
+    if len(lost) > MOST_LOST * len(track.T):
         reasons.append(f"{len(lost)} clouds fit nothing before them")
     reasons += _broken(stamps_ns, track, lost, constraints)
     if disagreeing > MOST_WRONG:

@@ -11,9 +11,9 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
 from turtlebag.pipeline.slam3d.floor import find_floor, levelled
-from turtlebag.pipeline.slam3d.sweeps import LEAST_POINTS, MAX_RANGE_M
+from turtlebag.pipeline.slam3d.sweeps import MAX_RANGE_M
 
-LOOKED_AT = 10
+LOOKED_AT, LEAST_POINTS = 10, 100
 VOXEL_SHARE, SMALLEST_VOXEL_M, LARGEST_VOXEL_M = 0.15, 0.25, 1.0
 """The voxel as a share of the median range, and its limits."""
 MAX_SLOPE_RAD, ON_FLOOR_M = 0.1, 0.03

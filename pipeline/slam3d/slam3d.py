@@ -15,13 +15,13 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
+from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.joint_refinement import RefineConfig
 from turtlebag.pipeline.slam.loop_closure import Progress
-from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, LEAST_OVERLAP
+from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
 from turtlebag.pipeline.slam.reregistration import carried_poses
 from turtlebag.pipeline.slam.slam import Sensors, no_progress
-from turtlebag.pipeline.slam.track import OdometryNoise
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
 from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Places
@@ -30,7 +30,7 @@ from turtlebag.pipeline.slam3d.refine3d import refine, reregistered
 from turtlebag.pipeline.slam3d.selfcheck3d import SelfCheck3d, check_map
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup, find_setup
 from turtlebag.pipeline.slam3d.slices import SLICE_REACH_M, SliceConfig, SliceGrid
-from turtlebag.pipeline.slam3d.surfels import COVARIANCE_SCALE, observable
+from turtlebag.pipeline.slam3d.surfels import COVARIANCE_SCALE, LEAST_OVERLAP, observable
 from turtlebag.pipeline.slam3d.sweeps import Sweep, sweeps_of
 
 HOLD = np.array([0.1, 0.1, 0.2, 0.3, 0.3, 0.3])
@@ -155,9 +155,9 @@ def step_constraints(track: Track3d) -> list[Constraint]:
 
 
 def _odometry(k: int, T: Array) -> Constraint:
-    """Wheels with the noise that they have in the plane, and a floor that is flat from key to key."""
-    way, turn, noise = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3]), OdometryNoise()
-    along, yaw = noise.floor + noise.share * way, noise.floor + noise.share * turn
+    """Wheels: ODOMETRY_SHARE of way and turn, and a floor that is flat from key to key."""
+    way, turn = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3])
+    along, yaw = 0.01 + ODOMETRY_SHARE * way, 0.01 + ODOMETRY_SHARE * turn
     sigmas = np.array([FLAT, FLAT, yaw, along, along, FLAT])
     return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", cauchy=CAUCHY)
 

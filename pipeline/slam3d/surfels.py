@@ -73,7 +73,11 @@ def make_surfels(points: Array, views: Array, voxel: float) -> Surfels:
     counts, means, scatter = _moments(points, 2 * ids + behind, 2 * count)
     faces = np.flatnonzero(counts >= MIN_POINTS)
     values, vectors = np.linalg.eigh(scatter[faces] / (counts[faces] - 1)[:, None, None])
-    flat = values[:, 1] > FLATNESS * values[:, 0]
+    flat = (
+        (values[:, 1] > FLATNESS * values[:, 0])
+        & (values[:, 1] > (0.08 * voxel) ** 2)
+        & (values[:, 0] < (0.15 * voxel) ** 2)
+    )
     first = normals[faces // 2] * np.where(faces % 2 == 0, 1.0, -1.0)[:, None]
     outward = vectors[:, :, 0] * np.where(np.sum(vectors[:, :, 0] * first, axis=1) < 0.0, -1.0, 1.0)[:, None]
     pairs = np.full(2 * count, -1, dtype=np.int32)
@@ -135,6 +139,8 @@ class Fit:
     motion: Array | None = None
 
 
+LEAST_OVERLAP = 0.35
+"""A cloud with a smaller overlap with a place does not fit it."""
 KERNEL_M, GATE_VOXELS = 0.03, 0.7
 """Width of the Geman-McClure weight of a distance; the largest distance that counts once a pose is nearly
 right."""
@@ -189,7 +195,7 @@ def fit(
         if float(np.abs(step).max()) < SETTLED and width <= KERNEL_M:
             break
         if iteration >= 1:
-            width = max(KERNEL_M, 0.5 * width)
+            width = max(KERNEL_M, 0.6 * width)
     u, _, vt = np.linalg.svd(T[:3, :3])
     T[:3, :3] = u @ vt
     return Fit(T, H[:6, :6], overlap, rmse, xi)
@@ -220,7 +226,7 @@ def nearest_surfel(q: Array, o: Array, surfels: Surfels, gate: float) -> int:
     z = math.floor((q[2] - low[2]) / voxel)
     if x < -1 or y < -1 or z < -1 or x > nx or y > ny or z > nz:
         return -1
-    best, found = voxel * voxel, -1
+    best, found = 1.5 * voxel * voxel, -1
     for i in range(max(x - 1, 0), min(x + 2, nx)):
         for j in range(max(y - 1, 0), min(y + 2, ny)):
             for k in range(max(z - 1, 0), min(z + 2, nz)):

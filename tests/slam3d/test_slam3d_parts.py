@@ -70,7 +70,7 @@ def reference_equations(points, when, T, surfels, gate, width):
         near = near[surfels.normals[near] @ (T[:3, 3] - at) > 0.0]
         away = at - surfels.means[near]
         r = np.sum(away * surfels.normals[near], axis=1)
-        ok = (np.abs(r) <= gate) & (np.sum(away**2, axis=1) < surfels.voxel**2)
+        ok = (np.abs(r) <= gate) & (np.sum(away**2, axis=1) < 1.5 * surfels.voxel**2)
         if not ok.any():
             continue
         k = np.flatnonzero(ok)[np.argmin(np.sum(away[ok] ** 2, axis=1))]
