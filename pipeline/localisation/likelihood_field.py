@@ -21,6 +21,9 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 FloatGrid = NDArray[np.float32]
 
+# Beams are looked up without interpolation in a field this much finer than the map (memory permitting).
+FINEST, MOST_FINE_CELLS = 4, 2**25
+
 
 @dataclass(frozen=True, eq=False)
 class DistanceField:
@@ -34,6 +37,19 @@ class DistanceField:
     distance: FloatGrid
     resolution: float
     T_map_field: SE2
+
+    def finer(self) -> tuple[FloatGrid, int]:
+        """The distance at the centres of cells `factor` times finer, interpolated, and that factor.
+
+        Row 0, column 0 begins at the outer corner of the field's first cell.
+        """
+        factor = FINEST
+        while factor > 1 and self.distance.size * factor**2 > MOST_FINE_CELLS:
+            factor //= 2
+        if factor == 1:
+            return self.distance, 1
+        fine = scipy.ndimage.zoom(self.distance, factor, order=1, mode="nearest", grid_mode=True)
+        return np.ascontiguousarray(fine, dtype=np.float32), factor
 
     @property
     def T_map_corner(self) -> SE2:
@@ -149,11 +165,13 @@ class LikelihoodField:
 
     def __init__(self, config: AmclConfig, field: DistanceField, range_max: float) -> None:
         self._max_beams = config.max_beams
-        p = hit_probability(field.distance, config.sigma_hit, config.z_hit, config.z_rand, range_max)
+        distance, factor = field.finer()
+        p = hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, range_max)
         self._table = np.log(p).astype(np.float32)
         # Padded by max_dist all round, the table's corner is as far from everything as outside is.
         self._outside = float(self._table.min())
-        self._frame = field.frame
+        *corner, per_metre = field.frame
+        self._frame = (*corner, factor * per_metre)
 
     def weigh(self, poses: Array, beams: Beams) -> Array:
         """Log weights (n,) of poses (n, 3) in the map frame."""

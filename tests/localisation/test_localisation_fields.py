@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room
+from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room, sampled
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
@@ -26,9 +26,9 @@ def cluttered(seed, shape=(24, 31), share=0.05, T_map_grid=None):
     return OccupancyGrid(cells, 0.1, T_map_grid or SE2.from_xyt(-1.0, 2.0, 0.4))
 
 
-def frame_of(field):
+def frame_of(field, factor=1):
     x, y, yaw = field.T_map_corner.xyt.tolist()
-    return x, y, yaw, 1.0 / field.resolution
+    return x, y, yaw, factor / field.resolution
 
 
 def test_beams_ends_are_looked_up_in_the_table_and_outside_counts_as_told():
@@ -97,11 +97,25 @@ def test_the_likelihood_field_multiplies_what_evenly_spaced_beams_say():
     beams = prepare(Scan(0, ranges.astype(np.float32), LIDAR), T_BASE_LIDAR)
     field, config = distance_field(room.grid(), 2.0), AmclConfig(max_beams=30)
     poses = T.xyt + rng.normal(0.0, 0.1, (5, 3))
-    p = hit_probability(field.distance, config.sigma_hit, config.z_hit, config.z_rand, 2.0)
-    table = np.log(p).astype(np.float32)
-    points = (beams.points[evenly_spaced(len(beams), 30)] / 0.05).astype(np.float32)
-    wanted = sum_over_beams(table, float(table.min()), frame_of(field), poses, points)
+    distance, factor = field.finer()
+    table = np.log(hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, 2.0)).astype(
+        np.float32
+    )
+    points = (beams.points[evenly_spaced(len(beams), 30)] * factor / 0.05).astype(np.float32)
+    wanted = sum_over_beams(table, float(table.min()), frame_of(field, factor), poses, points)
     np.testing.assert_allclose(LikelihoodField(config, field, 2.0).weigh(poses, beams), wanted, rtol=1e-6)
+
+
+def test_a_field_four_times_finer_is_interpolated_between_the_same_centres():
+    field = distance_field(cluttered(12, share=0.02), 1.5)
+    fine, factor = field.finer()
+    assert factor == 4
+    rows, cols = fine.shape
+    inner = [(r, c) for r in range(4, rows - 4, 7) for c in range(4, cols - 4, 5)]
+    for r, c in inner:
+        at = field.T_map_corner @ (np.array([c + 0.5, r + 0.5]) / 4 * field.resolution)
+        assert fine[r, c] == pytest.approx(float(sampled(field, at)), abs=1e-5)
+    assert sampled(field, field.T_map_corner @ np.array([-1.0, -1.0])) == 1.5
 
 
 def test_poses_are_drawn_from_the_free_cells_alone_and_from_all_of_each():

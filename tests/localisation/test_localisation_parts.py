@@ -56,10 +56,11 @@ def test_sum_over_beams_equals_a_plain_lookup():
     rng = np.random.default_rng(4)
     grid = grid_with(rng.integers(0, 20, size=(30, 2)), T_map_grid=SE2.from_xyt(0.5, 1.0, -2.0))
     field = distance_field(grid, 1.0)
-    table = np.log(hit_probability(field.distance, 0.1, 0.9, 0.1, 3.5)).astype(np.float32)
+    fine, factor = field.finer()
+    table = np.log(hit_probability(fine, 0.1, 0.9, 0.1, 3.5)).astype(np.float32)
     T_map_base = SE2.from_xyt(*rng.uniform(-2.0, 4.0, size=(2, 50)), rng.uniform(-3.0, 3.0, size=50))
     points = rng.uniform(-2.0, 2.0, size=(9, 2))
-    cells_per_m = 1.0 / field.resolution
+    cells_per_m = factor / field.resolution
     corner = field.T_map_corner
     found = sum_over_beams(
         table,
