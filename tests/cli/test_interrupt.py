@@ -46,7 +46,7 @@ def test_mapping_is_interrupted_inside_compiled_code_without_a_crash(tmp_path):
     script = tmp_path / "kernel.py"
     script.write_text(
         "import sys, numpy as np\nfrom numba import njit\nfrom turtlebag.pipeline.cli import doctor\n"
-        "@njit(cache=True)\ndef kernel(x):\n    return x + 1.0\n"
+        "@njit\ndef kernel(x):\n    return x + 1.0\n"
         "def spin():\n"
         "    x = kernel(np.zeros(3))\n    print('ready', flush=True)\n"
         "    while True:\n        x = kernel(x)\n"

@@ -38,8 +38,8 @@ def hung_elsewhere(drive, T_base_lidar):
 
 @pytest.fixture(scope="module")
 def drive():
-    """Seen by a third of the columns that such a lidar has, which show the room as well."""
-    return make_drive("room", v=0.9, w=1.2, n_azimuths=120)
+    """Seen by half the columns that such a lidar has, which show the room as well."""
+    return make_drive("room", v=0.9, w=1.2, n_azimuths=180)
 
 
 def shortened(drive):
