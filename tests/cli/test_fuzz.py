@@ -76,7 +76,7 @@ def test_a_command_that_does_not_end_in_time_is_no_success(monkeypatch, tmp_path
 def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
     @njit(cache=False)
     def kernel(values):
-        return np.sort(values * 2.0).sum()
+        return (values * 2.0).sum()
 
     def compiles(words):
         assert kernel(np.ones(3)) == 6.0
