@@ -27,8 +27,9 @@ from turtlebag.pipeline.localisation.global_search import (
 from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.lost_detection import ALIKE, SETTLING
 
-# Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out.
-APART = 1.0
+# Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. Where
+# less than this is explained, as on the map of another building, nothing can be said about other places.
+APART, LEAST_FIT = 1.0, 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class Aliasing:
         """Motions of the map onto itself, T_map_map, to the places that explain the scans about best.
 
         The first is the identity - the estimate `T_map_odom` itself - unless another place explains the
-        scans clearly better.
+        scans clearly better. Only the identity is left where the map explains too little of them anyhow.
         """
         here = [T_map_odom @ scan.T_odom_base for scan in scans]
         found = [SE2.identity()]
@@ -60,6 +61,8 @@ class Aliasing:
                     found.append(T_map_map)
         fits = [self._polished(T_map_map, scans, here) for T_map_map in found]
         best = max(fit for fit, _ in fits)
+        if best < LEAST_FIT:
+            return found[:1]
         kept: list[SE2] = []
         for k, (fit, T_map_map) in enumerate(fits):
             if fit > best - ALIKE and all(apart(T_map_map @ here[-1], other @ here[-1]) for other in kept):
