@@ -239,6 +239,8 @@ def shortest(
     cells = np.flatnonzero(floor.numbers >= 0)
     for state in goals:
         is_goal[_id(floor, state[0], state[1], state[2])] = True
+    # A step may lead over a blocked cell, which `rest` does not: it knows nothing of what lies beyond.
+    ahead = OCTILE * np.where(np.isfinite(rest), rest, 0.0)
     queue = [(0.0, 0.0, 0)]
     queue.clear()
     for i in range(len(starts)):
@@ -246,7 +248,7 @@ def shortest(
         at = _id(floor, r, c, starts[i, 2])
         if costs[i] < cost[at]:
             cost[at] = costs[i]
-            heapq.heappush(queue, (float(costs[i] + OCTILE * rest[r, c]), float(costs[i]), at))
+            heapq.heappush(queue, (float(costs[i] + ahead[r, c]), float(costs[i]), at))
     out, way = np.empty((2 * n + 2, 3), dtype=np.int64), np.empty(2 * n + 2)
     while len(queue) > 0:
         _, d, at = heapq.heappop(queue)
@@ -258,12 +260,12 @@ def shortest(
         count = _steps(floor, r, c, max(k, 0), False, out, way)
         for i in range(count):
             to = out[i]
-            left, there = rest[to[0], to[1]], _id(floor, to[0], to[1], to[2])
-            if not math.isfinite(left) or d + way[i] >= cost[there] - 1e-4:
+            there = _id(floor, to[0], to[1], to[2])
+            if d + way[i] >= cost[there] - 1e-4:
                 continue
             if _free(floor, r, c, max(k, 0), to):
                 cost[there], before[there] = d + way[i], at
-                heapq.heappush(queue, (float(d + way[i] + OCTILE * left), d + way[i], there))
+                heapq.heappush(queue, (float(d + way[i] + ahead[to[0], to[1]]), d + way[i], there))
     return np.empty((0, 3), dtype=np.int64)
 
 
