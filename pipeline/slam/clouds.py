@@ -18,7 +18,7 @@ from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
-from turtlebag.pipeline.slam.range_noise import LEAST_M, SIGMAS, RangeNoise, range_noise
+from turtlebag.pipeline.slam.range_noise import LEAST_M, RangeNoise, range_noise
 from turtlebag.pipeline.slam.threads import in_parts
 
 # A scan with fewer points, or fewer points with a surface line, cannot be matched; nor are lines used if most
@@ -40,6 +40,8 @@ MIN_GAP_M, GRAZING = 0.06, 6.0
 # A line extends this far from its point [m], or this many beam spacings, and on to MAX_REACH_M while its
 # direction is less certain than it should be.
 MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
+# A line is rejected if its returns deviate from it by more than noise explains, at one error in a thousand.
+Z_SURFACE = 3.09
 # Returns beyond this are not used [m]: the farther a wall, the fewer beams hit it.
 USABLE_M = 30.0
 # A line whose direction is less certain than this is not used.
@@ -236,7 +238,7 @@ def _fit_lines(
             reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
             gap2 = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M) ** 2
             # the noise also separates neighbours
-            gap2 += 2.0 * SIGMAS**2 * range_var[i]
+            gap2 += 2.0 * Z_SURFACE**2 * range_var[i]
             sums[:] = 0.0
             count = 1
             ends[:] = i
@@ -305,9 +307,9 @@ def _fit_lines(
 
 @njit(cache=True, nogil=True)
 def _limit(freedom: int) -> float:
-    """The chi-squared that noise alone exceeds as rarely as SIGMAS says (Wilson and Hilferty 1931)."""
+    """The chi-squared that noise alone exceeds as rarely as Z_SURFACE says (Wilson and Hilferty 1931)."""
     share = 2.0 / (9.0 * freedom)
-    return freedom * (1.0 - share + SIGMAS * math.sqrt(share)) ** 3
+    return freedom * (1.0 - share + Z_SURFACE * math.sqrt(share)) ** 3
 
 
 @njit(cache=True, nogil=True)

@@ -22,7 +22,7 @@ from turtlebag.pipeline.slam.clouds import (
     sweep_motion,
     sweep_motion_by_track,
 )
-from turtlebag.pipeline.slam.range_noise import LEAST_M, SIGMAS, RangeNoise
+from turtlebag.pipeline.slam.range_noise import LEAST_M, RangeNoise
 
 
 def plain_line(points, lo, hi, i, origin, increment, range_var):
@@ -33,7 +33,7 @@ def plain_line(points, lo, hi, i, origin, increment, range_var):
     reach = min(max(module.MIN_REACH_M, module.REACH_BEAMS * spacing), 2.0 * module.MAX_REACH_M)
     gap = math.hypot(
         min(max(module.MIN_GAP_M, module.GRAZING * spacing), module.MAX_REACH_M),
-        SIGMAS * math.sqrt(2.0 * range_var[i]),
+        module.Z_SURFACE * math.sqrt(2.0 * range_var[i]),
     )
     members, alive = [i], [True, True]
     normal, variance, turn_var = None, range_var[i], 1e9
@@ -108,9 +108,9 @@ def test_scans_do_not_grow_into_each_other_and_far_places_reach_further():
     np.testing.assert_allclose(centers[[4, 13]], [[2.0, 0.0], [2.0, 0.17]], atol=1e-7)
 
 
-def test_the_limit_is_that_of_chi_squared_of_three_sigmas():
+def test_the_limit_is_that_of_chi_squared_once_in_a_thousand_times():
     for freedom, off in ((1, 0.031), (2, 0.024), (3, 0.018), (5, 0.012), (10, 0.006), (40, 0.002)):
-        assert _limit(freedom) == pytest.approx(chdtri(freedom, ndtr(-SIGMAS)), rel=off)
+        assert _limit(freedom) == pytest.approx(chdtri(freedom, ndtr(-3.09)), rel=off)
 
 
 def test_each_bearing_keeps_the_nearest_point_and_of_equals_the_first():
