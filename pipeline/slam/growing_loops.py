@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam.isam2_graph import GrowingGraph, without
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig, LoopFinder, step_lengths
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 
-# At most this many keys wait for their loops; each takes up to three scans, by which the graph lags behind.
+# At most this many keys wait for their loops; each takes up to five scans, by which the graph lags behind.
 WAITING = 8
 
 
@@ -31,7 +31,7 @@ class GrowingLoops(LoopFinder):
         self._graph = GrowingGraph()
         self._since_query = 0
         self._waiting: deque[int] = deque()
-        self._place: tuple[int, float, float] | None = None
+        self._candidates: deque[tuple[int, float, float]] | None = None
         self._found: Loop | None = None
 
     def add_key(self, scans: KeyScans, T_last_key: Array, steps: list[Constraint]) -> None:
@@ -49,23 +49,26 @@ class GrowingLoops(LoopFinder):
             self._waiting.append(n)
 
     def work(self) -> bool:
-        """Do one of these: search the place where the first waiting key may have been before, align it with
-        that, or close the loop found. Returns whether the poses moved."""
+        """Do one of these: search the places where the first waiting key may have been before, align it with
+        one of them, or close the loop found. Returns whether the poses moved."""
         if self._found is not None:
             self._close(self._found)
             return True
         if not self._waiting:
             return False
         i = self._waiting[0]
-        if self._place is None:
+        if self._candidates is None:
             self._judge_drift()
             self.sigma_m = self._sigma(i)
-            self._place = self.nearest(i)
-        else:
-            loop = self._match(i, *self._place)
-            self._found, self._place = loop if loop.accepted else None, None
-        if self._place is None:
+            self._candidates = deque(self.candidates(i))
+        elif self._candidates:
+            loop = self._match(i, *self._candidates.popleft())
+            if loop.accepted:
+                self._found = loop
+                self._candidates.clear()
+        if not self._candidates:
             self._waiting.popleft()
+            self._candidates = None
         return False
 
     def needed(self) -> NDArray[np.bool_]:
@@ -96,7 +99,7 @@ class GrowingLoops(LoopFinder):
         self.scans, self.part = scans, self.part[stays]
         self.poses, self.path = self.poses[stays], self.path[stays]
         self._waiting = deque(int(number[i]) for i in self._waiting)
-        self._place = None
+        self._candidates = None
         if self._found is not None:
             self._found = replace(self._found, i=int(number[self._found.i]), j=int(number[self._found.j]))
         self._graph = GrowingGraph()

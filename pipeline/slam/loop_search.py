@@ -107,6 +107,8 @@ def close_loops(
 # The graph is optimised after this many keys if they closed loops. With half as many, twice as many or all at
 # once the maps are the same; fewer cost optimisations, more cost wider searches.
 BATCH = 48
+# A key is searched at this many of the places within its gate, nearest first.
+PLACES = 3
 # Cells of the coarse search [m] and its widest turn [rad]; resolutions of the fine one [m], [rad].
 CELL_M, MOST_TURN_RAD = 0.2, 0.8
 FINE_M, FINE_RAD = 0.05, 0.01
@@ -169,28 +171,40 @@ class LoopSearch(ABC):
         self.ways = drift_of(self.poses, self.steps).ways(self.loops)
 
     def _query(self, i: int) -> Loop | None:
-        """Key i at the nearest older place, or None if none is near enough."""
-        place = self.nearest(i)
-        return None if place is None else self._match(i, *place)
+        """The best older place for key i, or None if none is near enough."""
+        return self._best_of(i, self.candidates(i))
 
-    def nearest(self, i: int) -> tuple[int, float, float] | None:
-        """The older key nearest to key i, with its search radius [m] and angle [rad]; None if none is near
-        enough."""
+    def _best_of(self, i: int, places: Sequence[tuple[int, float, float]]) -> Loop | None:
+        """Key i at the first place where it is accepted, otherwise where it fits best."""
+        tried: list[Loop] = []
+        for j, gate, turn_gate in places:
+            tried.append(self._match(i, j, gate, turn_gate))
+            if tried[-1].accepted:
+                break
+        return max(tried, key=lambda loop: (loop.accepted, loop.score), default=None)
+
+    def candidates(self, i: int) -> list[tuple[int, float, float]]:
+        """PLACES older keys near key i, nearest first, with their search radius [m] and angle [rad]."""
         config = self.config
         returned = self.path[i] - self.path[:i] > config.min_path_m
         old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))
         old = old[~self.edits.rejects(i, old)]
         if len(old) == 0:
-            return None
+            return []
         covariance = read_at(self.ways(i)[old], self.poses[i])
         gates, turns = reach(covariance)
         gates, turns = np.minimum(gates + CELL_M, config.reach_m), np.minimum(turns + TURN_RAD, MOST_TURN_RAD)
         distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
+        found: list[tuple[int, float, float]] = []
         near = np.flatnonzero(distance < gates + 1.0)
-        if len(near) == 0:
-            return None
-        pick = near[np.argmin((distance + gates)[near])]
-        return int(old[pick]), float(gates[pick]), float(turns[pick])
+        for pick in near[np.argsort((distance + gates)[near], kind="stable")].tolist():
+            j = int(old[pick])
+            if any(abs(j - k) <= 2 * config.group for k, _, _ in found):
+                continue
+            found.append((j, float(gates[pick]), float(turns[pick])))
+            if len(found) == PLACES:
+                break
+        return found
 
 
 class LoopFinder(LoopSearch):
@@ -212,9 +226,9 @@ class LoopFinder(LoopSearch):
 
     def _query(self, i: int) -> Loop | None:
         """None also for a key that has its loop already, or whose nearest place is certain enough."""
-        place = None if i in self._closed else self.nearest(i)
-        held = place is not None and place[1] <= self.config.held_m + CELL_M
-        return None if place is None or held else self._match(i, *place)
+        places = [] if i in self._closed else self.candidates(i)
+        held = bool(places) and places[0][1] <= self.config.held_m + CELL_M
+        return None if held else self._best_of(i, places)
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()
