@@ -124,9 +124,9 @@ def test_two_submaps_are_compared_with_one_transform_there_and_one_back(monkeypa
     assert calls == ["rfft2", "irfft2", "irfft2"]
     other = submaps.laid_on(a, c, pictures)
     assert kept < set(pictures)
-    for one, by_itself in zip([*found, *other], [*alone[0], *alone[1]], strict=True):
-        assert one[0] == by_itself[0]
-        np.testing.assert_array_equal(one[1], by_itself[1])
+    for (score, pose), (score_alone, pose_alone) in zip((found, other), alone, strict=True):
+        assert score == score_alone
+        np.testing.assert_array_equal(pose, pose_alone)
 
 
 @pytest.mark.slow
