@@ -1,5 +1,3 @@
-import argparse
-
 import numpy as np
 import pytest
 
@@ -7,6 +5,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli import navigate as navigate_command
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.navigation import driver_setup
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, tutorial_patrol
@@ -81,7 +80,7 @@ def test_a_goal_without_a_map_refuses_what_only_a_map_gives_sense(capsys, name):
 
 
 def test_every_option_is_said_to_go_with_every_task_or_with_some():
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     navigate_command.add_arguments(parser)
     options = {action.dest for action in parser._actions} - {"help"}
     assert options == WITH_EVERY_TASK | set(navigate_command.TAKEN_BY) == WITH_EVERY_TASK | set(GIVEN)

@@ -225,7 +225,7 @@ def test_scans_that_a_later_one_tells_more_of_move_on_the_trajectory_as_on_the_t
     np.testing.assert_allclose(mapper.trajectory.poses.xyt[moved], np.tile(there, (len(moved), 1)), atol=1e-6)
 
 
-def test_the_odometry_is_calibrated_at_25_key_scans_whenever_they_have_doubled_and_at_the_end(monkeypatch):
+def test_the_odometry_is_calibrated_whenever_the_key_scans_have_doubled_and_at_the_end(monkeypatch):
     asked = []
 
     def calibrate(clouds, keys, T_track_keys, T_odom_keys):
@@ -238,11 +238,11 @@ def test_the_odometry_is_calibrated_at_25_key_scans_whenever_they_have_doubled_a
     tracker = Tracker(clouds, LOG, config, 8.0, Wheels)
     for _ in range(len(LOG) - 1):
         tracker.step(0.2)
-    assert 200 < len(tracker.keys) < 400
-    assert asked == [25, 50, 100, 200]
+    assert 128 < len(tracker.keys) < 256
+    assert asked == [2, 4, 8, 16, 32, 64, 128]
     asked.clear()
     track = track_log(LOG, clouds, config, 8.0, range(1, len(LOG)), Wheels)
-    assert asked == [25, 50, 100, 200, len(track.keys)]
+    assert asked == [2, 4, 8, 16, 32, 64, 128, len(track.keys)]
 
 
 def growing_loops(n, information):
