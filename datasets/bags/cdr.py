@@ -13,7 +13,8 @@ from turtlebag.datasets.bags.topics import typestore
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Imu, Joints, Scan, Twist
 
-_EMPTY, _NO_COVARIANCE = np.zeros(0), np.zeros(36)
+NO_COVARIANCE = np.zeros(36)
+_EMPTY = np.zeros(0)
 _UNKNOWN_ORIENTATION = np.array([-1.0, *[0.0] * 8])
 
 
@@ -53,11 +54,11 @@ def _velocity(twist: Twist) -> tuple[Any, Any]:
     return _vector(twist.v, 0.0, 0.0), _vector(0.0, 0.0, twist.w)
 
 
-def odometry(frame: str, child: str, stamp_ns: int, T: SE2, velocity: Twist, variances: Array) -> bytes:
-    """nav_msgs/Odometry; `variances` (6,) of the pose."""
-    pose = _with_covariance("Pose", _pose(*T.xyt.tolist()), np.diag(variances).ravel())
+def odometry(frame: str, child: str, stamp_ns: int, T: SE2, velocity: Twist, covariance: Array) -> bytes:
+    """nav_msgs/Odometry; `covariance` (36,) of the pose."""
+    pose = _with_covariance("Pose", _pose(*T.xyt.tolist()), covariance)
     moving = _make("geometry_msgs/msg/Twist", *_velocity(velocity))
-    speeds = _with_covariance("Twist", moving, _NO_COVARIANCE)
+    speeds = _with_covariance("Twist", moving, NO_COVARIANCE)
     return _bytes("nav_msgs/msg/Odometry", _header(stamp_ns, frame), child, pose, speeds)
 
 
@@ -77,17 +78,17 @@ def joint_state(frame: str, names: Sequence[str], joints: Joints) -> bytes:
     return _bytes("sensor_msgs/msg/JointState", header, list(names), position, velocity, _EMPTY)
 
 
-def imu(frame: str, sample: Imu, gyro_variance: float, acceleration_variance: float) -> bytes:
-    """sensor_msgs/Imu without orientation."""
+def imu(frame: str, sample: Imu, gyro_covariance: Array, acceleration_covariance: Array) -> bytes:
+    """sensor_msgs/Imu without orientation; covariances (9,)."""
     return _bytes(
         "sensor_msgs/msg/Imu",
         _header(sample.stamp_ns, frame),
         _turn(0.0),
         _UNKNOWN_ORIENTATION,
         _vector(*sample.angular_velocity.tolist()),
-        gyro_variance * np.eye(3).ravel(),
+        gyro_covariance,
         _vector(*sample.linear_acceleration.tolist()),
-        acceleration_variance * np.eye(3).ravel(),
+        acceleration_covariance,
     )
 
 

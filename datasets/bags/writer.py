@@ -14,10 +14,10 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Cloud, Observation, Odometry, Scan, Twist
 
-_POSE_VARIANCES = np.array([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3])
+_POSE_COVARIANCE = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
 """Diagonal that the TurtleBot3's odometry publishes: z, roll and pitch are not measured."""
 _WHEELS = ("wheel_left_joint", "wheel_right_joint")
-_GYRO_VARIANCE, _ACCELERATION_VARIANCE = 4e-8, 2.89e-4
+_GYRO_COVARIANCE, _ACCELERATION_COVARIANCE = 4e-8 * np.eye(3).ravel(), 2.89e-4 * np.eye(3).ravel()
 
 
 class BagWriter(BagFolder):
@@ -41,7 +41,7 @@ class BagWriter(BagFolder):
     def observation(self, observation: Observation) -> None:
         """/imu, /odom, /tf, /joint_states and, when a sweep was completed, /scan."""
         for sample in observation.imu:
-            data = cdr.imu("imu_link", sample, _GYRO_VARIANCE, _ACCELERATION_VARIANCE)
+            data = cdr.imu("imu_link", sample, _GYRO_COVARIANCE, _ACCELERATION_COVARIANCE)
             self._write("/imu", sample.stamp_ns, data)
         self.odometry(observation.odometry)
         joints = observation.joints
@@ -52,13 +52,13 @@ class BagWriter(BagFolder):
     def odometry(self, odometry: Odometry) -> None:
         """/odom and its transform on /tf."""
         stamp, T = odometry.stamp_ns, odometry.T_odom_base
-        data = cdr.odometry("odom", "base_footprint", stamp, T, odometry.twist, _POSE_VARIANCES)
+        data = cdr.odometry("odom", "base_footprint", stamp, T, odometry.twist, _POSE_COVARIANCE)
         self._write("/odom", stamp, data)
         self._transform("odom", "base_footprint", stamp, T)
 
     def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
         """/ground_truth/odom, in the frame world; never in /tf."""
-        data = cdr.odometry("world", "base_footprint", stamp_ns, T_world_base, twist, np.zeros(6))
+        data = cdr.odometry("world", "base_footprint", stamp_ns, T_world_base, twist, cdr.NO_COVARIANCE)
         self._write("/ground_truth/odom", stamp_ns, data)
 
     def command(self, stamp_ns: int, twist: Twist) -> None:

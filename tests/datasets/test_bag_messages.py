@@ -220,11 +220,11 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
         if given is not None:
             np.testing.assert_array_equal(table[:, 3], times)
     sample = Imu(STAMP, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]))
-    imu = same(cdr.imu(frame, sample, 0.1, 0.2), "sensor_msgs/msg/Imu")
+    imu = same(cdr.imu(frame, sample, np.full(9, 0.1), np.full(9, 0.2)), "sensor_msgs/msg/Imu")
     stamped(imu)
     assert imu.orientation_covariance.tolist() == [-1.0] + [0.0] * 8
-    assert imu.angular_velocity_covariance.tolist() == (0.1 * np.eye(3)).ravel().tolist()
-    assert imu.linear_acceleration_covariance.tolist() == (0.2 * np.eye(3)).ravel().tolist()
+    assert imu.angular_velocity_covariance.tolist() == [0.1] * 9
+    assert imu.linear_acceleration_covariance.tolist() == [0.2] * 9
     assert (imu.orientation.w, imu.orientation.x) == (1.0, 0.0)
     assert (imu.angular_velocity.z, imu.linear_acceleration.x) == (3.0, 4.0)
     joints = same(
@@ -239,12 +239,12 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
     )
     pose = SE2.from_xyt(1.0, 2.0, 0.5)
     drive = same(
-        cdr.odometry(frame, child, STAMP, pose, Twist(3.0, 4.0), np.arange(6.0)), "nav_msgs/msg/Odometry"
+        cdr.odometry(frame, child, STAMP, pose, Twist(3.0, 4.0), np.arange(36.0)), "nav_msgs/msg/Odometry"
     )
     stamped(drive)
     assert drive.child_frame_id == child
     placed(drive.pose.pose, 1.0, 2.0, 0.5)
-    assert drive.pose.covariance.tolist() == np.diag(np.arange(6.0)).ravel().tolist()
+    assert drive.pose.covariance.tolist() == np.arange(36.0).tolist()
     assert (drive.twist.twist.linear.x, drive.twist.twist.angular.z) == (3.0, 4.0)
     assert not drive.twist.covariance.any()
     lidar = LidarSpec(length + 1, 0.5, 0.25, 1.0, 6.0, 0.125, 0.75)

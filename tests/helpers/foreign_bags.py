@@ -69,5 +69,5 @@ def tf(*transforms):
 
 
 def odometry(stamp_ns, x, frame="odom", child="base_footprint"):
-    data = cdr.odometry(frame, child, stamp_ns, SE2.from_xyt(x, 0.0, 0.0), Twist(), np.zeros(6))
+    data = cdr.odometry(frame, child, stamp_ns, SE2.from_xyt(x, 0.0, 0.0), Twist(), cdr.NO_COVARIANCE)
     return STORE.deserialize_cdr(data, ODOMETRY)
