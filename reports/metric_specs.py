@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import plain_values
@@ -19,7 +19,7 @@ class MetricSpec(Settings):
     meaning: str
     sources: tuple[str, ...] = ()
     topics: tuple[str, ...] = ()
-    against: tuple[str, ...] = ()
+    against: tuple[Literal["truth", "relations"], ...] = ()
     trusted: bool = False
     seldom: bool = False
     evo: str = ""
@@ -30,34 +30,34 @@ class Section(Settings):
     """Numbers under one heading; `hint` says how to read them."""
 
     title: str
-    hint: str
+    hint: str = ""
     specs: tuple[MetricSpec, ...]
 
 
-def _sections(told: dict[str, Any]) -> Iterator[tuple[str, tuple[Section, ...]]]:
-    """The sections of each stage, of all systems and of a goal."""
+def sections(told: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Section, ...]]]:
+    """The sections of each stage, of all systems and of a goal; ValueError for unknown keys."""
     known: dict[str, dict[str, Any]] = {}
     for kind, parts in told.items():
         found = []
         for part in parts:
-            common = {name: part.get(name, ()) for name in ("sources", "topics", "against")}
+            heading = dict(part)
+            numbers = heading.pop("numbers")
+            common = {name: heading.pop(name, ()) for name in ("sources", "topics", "against")}
             specs = []
-            for path, entry in part["numbers"].items():
+            for path, entry in numbers.items():
                 whole = entry if "label" in entry else {**known[path], **entry}
                 known.setdefault(path, whole)
                 specs.append(MetricSpec(path=path, **{**common, **whole}))
-            found.append(Section(title=part["title"], hint=part.get("hint", ""), specs=tuple(specs)))
+            found.append(Section(**heading, specs=tuple(specs)))
         yield kind, tuple(found)
 
 
-_told = plain_values((files("turtlebag.reports") / "metric_specs.yaml").read_text())
+_told = plain_values((files("turtlebag.reports") / "metric_specs.yaml").read_text("utf-8"))
 PICTURE_SOURCES: dict[str, list[str]] = _told.pop("pictures")
-SECTIONS = dict(_sections(_told))
+SECTIONS = dict(sections(_told))
 SYSTEMS, (_goals,) = SECTIONS.pop("systems"), SECTIONS.pop("goals")
 GOAL_NUMBERS = _goals.specs
-SPECS = {
-    kind: tuple(spec for section in sections for spec in section.specs) for kind, sections in SECTIONS.items()
-}
+SPECS = {kind: tuple(spec for part in parts for spec in part.specs) for kind, parts in SECTIONS.items()}
 
 # Last parts of paths.
 MORE_IS_BETTER = (
