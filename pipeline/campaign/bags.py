@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from pathlib import PurePosixPath
 from typing import Any
 
 from turtlebag.datasets.bags.source import SUFFIXES
@@ -57,10 +56,10 @@ def _below(files: Any, folder: str) -> dict[str, str]:
     bags: dict[str, str] = {}
     parts: dict[str, list[str]] = defaultdict(list)
     for path, info in inside.items():
-        # The innermost of the folders that hold it.
-        parents = [str(parent) for parent in PurePosixPath(path).parents]
-        whole = next((one for one in parents if len(one) >= len(folder) and one in wholes), None)
-        if whole is not None:
+        whole = _parent(path)  # in the end the innermost bag that holds it, if one does
+        while whole not in wholes and len(whole) > len(folder):
+            whole = _parent(whole)
+        if whole in wholes:
             parts[whole].append(_version(info))
         elif path.lower().endswith(RECORDED):
             bags[path] = _version(info)

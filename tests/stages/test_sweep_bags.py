@@ -6,6 +6,7 @@ import time
 import uuid
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import fsspec
 import pytest
@@ -15,7 +16,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.campaign import leases
-from turtlebag.pipeline.campaign.bags import find_bags
+from turtlebag.pipeline.campaign.bags import _below, find_bags
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
 from turtlebag.pipeline.campaign.case import Where, row_of
 from turtlebag.pipeline.campaign.cases import cases
@@ -184,6 +185,13 @@ def test_patterns_name_bags(place, tmp_path):
     at.put("drive/bag/bag_0.mcap", b"another")
     second = find_bags([f"{place}/drive", f"{place}/runs/a.mcap"])
     assert [first[url] == second[url] for url in first] == [False, True]
+
+
+@pytest.mark.parametrize("folder", ["", "/a//drive"])
+def test_a_bag_is_one_also_at_the_top_of_a_store_and_below_a_folder_without_a_name(folder):
+    files = {f"{folder}/{name}": {"size": 1, "mtime": 1} for name in ("metadata.yaml", "bag_0.mcap")}
+    store = SimpleNamespace(find=lambda top, detail: files)
+    assert [*_below(store, "")] == [folder]
 
 
 @pytest.mark.slow
