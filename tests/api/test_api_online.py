@@ -31,7 +31,7 @@ def test_the_simulator_driven_by_a_bags_commands_senses_what_the_bag_holds(chain
         assert sim.time_s == pytest.approx(seen[-1].stamp_ns * 1e-9)
         first = sim.reset()
         assert first.odometry.T_odom_base.xyt.tolist() == seen[0].odometry.T_odom_base.xyt.tolist()
-        for speed in ("fast", np.nan, None):
+        for speed in ("fast", b"1", np.nan, None, 10**400):
             with pytest.raises(tb.InputError, match="v: expected a finite speed"):
                 sim.step(speed)
         with pytest.raises(tb.InputError, match="start pose"):

@@ -146,6 +146,10 @@ WRONG = {
     "no seed": (lambda c: tb.record("empty", seed=-1), "seed: expected a whole number"),
     "half a pose": (lambda c: tb.record("empty", start=(1, 2)), r"start: expected .*, not \(1, 2\)"),
     "a pose nowhere": (lambda c: tb.record("empty", start=(np.nan, 2, 0)), "start: expected three finite"),
+    "a pose farther than floats reach": (
+        lambda c: tb.record("empty", start=(10**400, 2, 0)),
+        "start: expected three finite",
+    ),
     "no recording": (lambda c: tb.map(c / "none"), "none: no such file"),
     "another output": (lambda c: tb.Run(c / "map"), "is an output of map, not of navigate"),
     "no map": (lambda c: tb.Map(c / "record"), "no map"),

@@ -32,8 +32,8 @@ LATEST_NS = 2**62
 def number(value: Any, what: str, expected: str, low: float = -math.inf, high: float = math.inf) -> float:
     """A number between the two; InputError says what was expected if it is not."""
     try:
-        found = math.nan if isinstance(value, str) else float(value)
-    except (TypeError, ValueError):
+        found = math.nan if isinstance(value, str | bytes) else float(value)
+    except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not low < found < high:
         raise InputError(f"{what}: expected {expected}, not {in_a_line(value)}")
@@ -49,7 +49,7 @@ def pose(value: Pose, what: str) -> SE2:
     """A pose from three numbers; InputError names `what` if it is not one."""
     try:
         xyt = value.xyt if isinstance(value, SE2) else np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         xyt = np.zeros(0)
     if xyt.shape != (3,) or not np.isfinite(xyt).all() or np.abs(xyt).max() > FARTHEST:
         shown = in_a_line(value.xyt if isinstance(value, SE2) else value)

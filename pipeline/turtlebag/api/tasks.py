@@ -115,7 +115,7 @@ def _numbers(one: Any, what: str) -> Any:
         one = one.xyt
     try:
         return one if isinstance(one, dict) else np.asarray(one, dtype=np.float64).tolist()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{what}: expected numbers, not {given.in_a_line(one)}") from None
 
 
