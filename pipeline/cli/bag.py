@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import output
+from turtlebag.pipeline.cli.arguments import output, positive
 from turtlebag.pipeline.cli.parser import Parser, add_action
 from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
 
@@ -46,7 +46,7 @@ def add_arguments(parser: Parser) -> None:
         "turtlebag bag play data/record --rate 4",
     )
     text = "playback speed (default: 1, the speed of the recording)"
-    sub.option("--rate", "R", text, float, default=1.0)
+    sub.option("--rate", "R", text, positive, default=1.0)
     sub = action(
         "recover",
         _recover,
@@ -134,7 +134,7 @@ def _play(args: argparse.Namespace) -> int:
     player = Player(args.bag, (max(columns - 1, 1), max(rows - STATUS_ROWS, 1)))
     log_notes(player.recording.notes)
     if not sys.stdout.isatty():  # a log line each second instead of a moving picture
-        play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / max(args.rate, 1e-9))
+        play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / args.rate)
         return 0
     with Live(console=Console(highlight=False), auto_refresh=False) as live:
         play(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from turtlebag.pipeline.cli.arguments import output, start_of
+from turtlebag.pipeline.cli.arguments import output, positive, start_of
 from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.stages.settings import load_config
 
@@ -18,20 +18,17 @@ def add_arguments(parser: Parser) -> None:
     parser.flag("--view", "draw the scan and the map as it grows")
     text = "keys: W A S D (default); turtlebot3: the keys of turtlebot3_teleop"
     parser.add_argument("--style", choices=("keys", "turtlebot3"), default="keys", help=text)
-    parser.option("--speed", "X", "speed relative to real time (default: 1)", float, default=1.0)
+    parser.option("--speed", "X", "speed relative to real time (default: 1)", positive, default=1.0)
     parser.add_config()
     parser.add_output()
 
 
 def run(args: argparse.Namespace) -> int:
     """Drive with the keyboard until Q or Ctrl-C."""
-    from turtlebag.datasets.errors import InputError
     from turtlebag.pipeline.stages.record import RecordOptions, Scene, record_drive
     from turtlebag.pipeline.terminal import keyboard_teleop
     from turtlebag.pipeline.terminal.messages import redrawn
 
-    if not args.speed > 0.0:
-        raise InputError(f"--speed {args.speed:g}: must be more than 0")
     options = load_config(RecordOptions, args.config, args.settings)
     scene = Scene.load(args.world, args.robot, args.seed, options.sim, start_of(args))
     state = keyboard_teleop.KeyState(scene.robot.limits, args.style)

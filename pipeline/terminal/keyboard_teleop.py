@@ -87,17 +87,17 @@ def _toward(value: float, target: float, step: float) -> float:
 
 
 def keyboard_driver(
-    state: KeyState, read_keys: Callable[[], str], wait: Callable[[int], None]
+    state: KeyState, read_keys: Callable[[], str], wait: Callable[[float], None]
 ) -> Generator[Twist, Truth, None]:
     """A driver for record_drive: reads keys at each control step until the end key; then stops.
 
-    `read_keys` returns the keys typed since the last call; `wait` gets the number of the step and returns
+    `read_keys` returns the keys typed since the last call; `wait` gets the time of the step [s] and returns
     when it is due. The truth, which the driver is sent, is not used.
     """
     yield Twist()
     step = 0
     while not state.ended:
-        wait(step)
+        wait(step / CONTROL_HZ)
         for key in read_keys():
             state.press(key)
         if step % (CONTROL_HZ // 10) == 0:
@@ -117,7 +117,7 @@ class OverrideKeys:
         self,
         limits: Limits,
         read_keys: Callable[[], str],
-        wait: Callable[[int], None],
+        wait: Callable[[float], None],
         write: Callable[[str], None],
     ) -> None:
         self._limits, self._read_keys, self._wait, self._write = limits, read_keys, wait, write
@@ -126,7 +126,7 @@ class OverrideKeys:
 
     def asked(self, stamp_ns: int) -> Twist | None:
         """What the keys ask for at this tick; None while navigation drives."""
-        self._wait(self._step)
+        self._wait(self._step / CONTROL_HZ)
         for key in self._read_keys().lower():
             if key in "q\n\r\x04":
                 self._keys = None
@@ -221,11 +221,11 @@ def _ready(stream: int) -> bool:
 
 
 def clock(speed: float) -> Callable[[float], None]:
-    """A function that returns when a control step, or part of one, is due at `speed` times real time."""
+    """A function that waits until a time [s] since now, at `speed` times real time."""
     begun = time.monotonic()
 
-    def wait(step: float) -> None:
-        left = begun + step / (CONTROL_HZ * speed) - time.monotonic()
+    def wait(time_s: float) -> None:
+        left = begun + time_s / speed - time.monotonic()
         if left > 0.0:
             time.sleep(left)
 

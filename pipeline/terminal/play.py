@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from turtlebag.datasets.bags.reader import read_commands
-from turtlebag.datasets.errors import InputError, if_there
+from turtlebag.datasets.errors import if_there
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.terminal.braille import Canvas, Size
 from turtlebag.pipeline.terminal.keyboard_teleop import clock
-from turtlebag.sim.robots import CONTROL_HZ
 
 _WIDEST_M = 12.0
 _SPEED_WINDOW_NS = 200_000_000
@@ -89,8 +88,6 @@ class Player:
 
 def frames(player: Player, *, rate: float, every_s: float) -> Iterator[Frame]:
     """Frames each `every_s` seconds of wall time at `rate` times the recorded speed, and the last one."""
-    if not (rate > 0.0 and math.isfinite(rate)):
-        raise InputError(f"--rate {rate:g}: must be a positive number")
     step = max(round(every_s * rate * 1e9), 1)
     for stamp in range(player.start_ns, player.end_ns, step):
         yield player.frame(stamp)
@@ -101,5 +98,5 @@ def play(player: Player, show: Callable[[Frame], None], *, rate: float, every_s:
     """Show the frames when they are due; late ones are not waited for."""
     wait = clock(rate)
     for frame in frames(player, rate=rate, every_s=every_s):
-        wait(frame.time_s * CONTROL_HZ)
+        wait(frame.time_s)
         show(frame)

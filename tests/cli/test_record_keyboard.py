@@ -59,7 +59,7 @@ def test_a_keyboard_drive_is_a_bag_like_any_other_and_ends_standing(tmp_path):
     state = KeyState(scene.robot.limits, "keys")
     typed = iter(["w" * 10, "", "aaa"] + [""] * 40 + ["q"])
     frames = []
-    driver = keyboard_driver(state, lambda: next(typed), lambda step: None)
+    driver = keyboard_driver(state, lambda: next(typed), lambda time_s: None)
     view = View(scene.robot, state, False, frames.append)
     assert record_drive(scene, driver, "keyboard:keys", Output(tmp_path / "rec"), watch=view) == 0
     _, v, w = read_commands(tmp_path / "rec")

@@ -125,7 +125,7 @@ def test_the_goals_time_and_the_wait_before_it_stand_meanwhile():
 def test_any_driving_key_takes_over_and_q_hands_back():
     typed = iter(["", "w", "a", "", "q", "", " ", "\n"])
     keys = OverrideKeys(
-        load_robot("burger").limits, lambda: next(typed), lambda step: None, lambda text: None
+        load_robot("burger").limits, lambda: next(typed), lambda time_s: None, lambda text: None
     )
     asked = [keys.asked(k) for k in range(8)]
     w, wa = Twist(0.01, 0.0), Twist(0.01, 0.1)
@@ -135,15 +135,15 @@ def test_any_driving_key_takes_over_and_q_hands_back():
 def test_the_end_of_a_pipe_hands_back():
     typed = itertools.chain(["ww"], itertools.repeat("q"))
     keys = OverrideKeys(
-        load_robot("burger").limits, lambda: next(typed), lambda step: None, lambda text: None
+        load_robot("burger").limits, lambda: next(typed), lambda time_s: None, lambda text: None
     )
     assert [keys.asked(k) for k in range(3)] == [Twist(0.02, 0.0), None, None]
 
 
 @pytest.mark.slow
 def test_ctrl_c_during_a_keyboard_override_keeps_the_drive(true_map, tmp_path, monkeypatch, capfd):
-    def wait(step):
-        if step == 3 * 30:
+    def wait(time_s):
+        if time_s == 3.0:
             signal.raise_signal(signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)  # ignored, where the tests run in the background
