@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import output
-from turtlebag.pipeline.cli.other_systems import add_system_options, existing_files, systems_named
+from turtlebag.pipeline.cli.arguments import output, refuse
+from turtlebag.pipeline.cli.other_systems import (
+    SYSTEM_OPTIONS,
+    add_system_options,
+    existing_files,
+    systems_named,
+)
 from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.terminal.messages import print_table
 
@@ -63,10 +68,7 @@ def make(args: argparse.Namespace) -> Comparison | SystemComparison:
         return compare_with_systems(args.a, systems_named(args.b, args), out)
     if len(args.b) > 1:
         raise InputError("compare takes two outputs, or one output and files of other systems")
-    if args.system_base or args.system_times or args.system_shift:
-        raise InputError(
-            f"{args.b[0]}: is an output of turtlebag; --system options apply only to files of other systems"
-        )
+    refuse(args, SYSTEM_OPTIONS, f"only for files of other systems; {args.b[0]} is an output of turtlebag")
     return compare_outputs(args.a, Path(args.b[0]), out)
 
 

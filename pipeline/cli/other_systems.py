@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from turtlebag.datasets.other_systems import SystemFiles
 
 
+SYSTEM_OPTIONS = ("system_base", "system_times", "system_shift")
+
+
 def add_system_options(parser: Parser) -> None:
     """--system-base, --system-times and --system-shift."""
     for name, value, text in (

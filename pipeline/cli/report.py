@@ -6,7 +6,12 @@ import argparse
 from pathlib import Path
 
 from turtlebag.pipeline.cli.arguments import output, refuse
-from turtlebag.pipeline.cli.other_systems import add_system_options, existing_files, systems_named
+from turtlebag.pipeline.cli.other_systems import (
+    SYSTEM_OPTIONS,
+    add_system_options,
+    existing_files,
+    systems_named,
+)
 from turtlebag.pipeline.cli.parser import Parser
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
@@ -40,7 +45,8 @@ def make(args: argparse.Namespace) -> Path:
     from turtlebag.pipeline.stages.report import make_index, make_report
 
     if args.index:
-        refuse(args, ("paper", "no_animation", "system"), "has no effect with --index; remove it")
+        unused = ("paper", "no_animation", "system", *SYSTEM_OPTIONS)
+        refuse(args, unused, "has no effect with --index; remove it")
         return make_index(args.folders, output(args))
     others, animate = systems_named(args.system, args), not args.no_animation
     return make_report(args.folders, output(args), others=others, animate=animate, paper=args.paper)

@@ -13,6 +13,7 @@ from turtlebag.pipeline.cli.main import main
         (["bag", "convert", "drive.clf", "--exclude", "/odom", "--out", "rec"], "--exclude"),
         (["report", ".", "--index", "--paper", "--out", "page"], "--paper"),
         (["report", ".", "--index", "--no-animation", "--out", "page"], "--no-animation"),
+        (["report", ".", "--index", "--system-shift", "1", "--out", "page"], "--system-shift"),
         (["sweep", ".", "--query", "select 1", "--out", "study"], "--out"),
         (["sweep", ".", "--query", "select 1", "--workers", "2"], "--workers"),
     ],

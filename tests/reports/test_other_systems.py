@@ -232,7 +232,7 @@ def test_a_localisation_has_other_systems_too(tree):
         (["a={base}/carto.tum", "b={base}/carto.yaml", "--system-shift", "1"], "there are several systems"),
         (["a={base}/carto.yaml", "--system-base", "1,2,3"], "a has no trajectory"),
         (["{base}/map", "{base}/map"], "takes two outputs"),
-        (["{base}/map", "--system-shift", "1"], "options apply only to files of other systems"),
+        (["{base}/map", "--system-shift", "1"], "--system-shift: only for files of other systems"),
     ],
 )
 def test_bad_files_of_other_systems_are_refused_in_one_line(tree, tmp_path, capsys, words, said):
