@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, handled otherwise for a while."""
+"""Another handler of Ctrl-C and SIGTERM, for a while."""
 
 from __future__ import annotations
 
@@ -11,26 +11,28 @@ from typing import Any
 
 @contextmanager
 def handled(handler: Callable[..., Any], *, unless_handled: bool = False) -> Iterator[None]:
-    """Within, both go to the handler; in another thread than the main one signals are not ours to catch.
+    """Within, both signals go to the handler; outside the main thread, which gets them all, nothing changes.
 
-    `unless_handled`: not the one that someone else has a handler for already.
+    `unless_handled`: a signal that has a handler already, other than Python's own, keeps it.
     """
-    usual, mine = (signal.default_int_handler, signal.SIG_DFL), {}
+    before: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        mine = {number: old for number, old in before.items() if not unless_handled or old in usual}
-    for number in mine:
+    if unless_handled:
+        usual = (signal.default_int_handler, signal.SIG_DFL)
+        before = {number: old for number, old in before.items() if old in usual}
+    for number in before:
         signal.signal(number, handler)
     try:
         yield
     finally:
-        for number, old in mine.items():
+        for number, old in before.items():
             signal.signal(number, old)
 
 
 @contextmanager
 def deferred_interrupt() -> Iterator[list[int]]:
-    """Ctrl-C or SIGTERM within is put in the list instead of raising: no message is cut in the middle."""
+    """Within, Ctrl-C and SIGTERM are added to the list and raise nothing: no message is cut in the middle."""
     received: list[int] = []
     with handled(lambda number, frame: received.append(number)):
         yield received
