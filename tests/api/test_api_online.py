@@ -143,6 +143,11 @@ BAD = {
     "samples back": (lambda s: (s, samples(2, 1)), "stamps must increase"),
     "samples of no time": (lambda s: (s, samples(1.0, np.nan)), "expected stamps .* in whole nanoseconds"),
     "samples nowhere": (lambda s: (s, samples(1, 2, pose=(0, np.nan, 0))), "has poses that are not finite"),
+    "imu of words": (
+        lambda s: (s, (0, 0, 0), [Imu(1, ["a", "b", "c"], np.zeros(3))]),
+        r"imu.angular_velocity: expected three finite numbers, not \['a', 'b', 'c'\]",
+    ),
+    "no imu": (lambda s: (s, (0, 0, 0), 3), "imu: expected a list, not an int"),
     "imu of another shape": (
         lambda s: (s, (0, 0, 0), [Imu(1, np.zeros(2), np.zeros(3))]),
         "imu.angular_velocity: expected three finite numbers",

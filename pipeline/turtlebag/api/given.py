@@ -18,7 +18,7 @@ from turtlebag.datasets import types
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import name_of, told_kind
 from turtlebag.datasets.plurals import one
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Imu, LidarSpec, Scan
 from turtlebag.datasets.yaml_files import parsed
 
@@ -47,16 +47,22 @@ def in_a_line(value: object) -> str:
 
 def pose(value: Pose, what: str) -> SE2:
     """A pose from three numbers; InputError names `what` if it is not one."""
-    try:
-        xyt = value.xyt if isinstance(value, SE2) else np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        xyt = np.zeros(0)
-    if xyt.shape != (3,) or not np.isfinite(xyt).all() or np.abs(xyt).max() > FARTHEST:
-        shown = in_a_line(value.xyt if isinstance(value, SE2) else value)
+    given = value.xyt if isinstance(value, SE2) else value
+    xyt = _three(given)
+    if xyt is None or np.abs(xyt).max() > FARTHEST:
         raise InputError(
-            f"{what}: expected three finite numbers x, y, yaw in metres and radians, not {shown}"
+            f"{what}: expected three finite numbers x, y, yaw in metres and radians, not {in_a_line(given)}"
         )
-    return SE2.from_xyt(*(float(number) for number in xyt))
+    return SE2.from_xyt(*xyt.tolist())
+
+
+def _three(values: Any) -> Array | None:
+    """Three finite numbers as an array (3,); None for anything else."""
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return found if found.shape == (3,) and np.isfinite(found).all() else None
 
 
 def initial_pose(value: Pose | str | None, *words: str) -> SE2 | str | None:
@@ -199,20 +205,20 @@ def odometry(
     return found  # type: ignore[return-value]
 
 
-def imu(imu: Sequence[Imu]) -> Sequence[Imu]:
+def imu(imu: Iterable[Imu]) -> list[Imu]:
     """Samples with finite (3,) arrays and increasing stamps."""
-    last = -LATEST_NS
-    for sample in imu:
+    last, samples = -LATEST_NS, items(imu, "imu")
+    for sample in samples:
         require_kind(sample, Imu, "imu")
         stamp = _stamp(sample.stamp_ns, "imu.stamp_ns")
         if stamp <= last:
             raise InputError(f"imu.stamp_ns: {stamp} is not after the sample before")
         last = stamp
         for name in ("angular_velocity", "linear_acceleration"):
-            values = np.asarray(getattr(sample, name))
-            if values.shape != (3,) or not np.isfinite(values).all():
-                raise InputError(f"imu.{name}: expected three finite numbers, not {values.tolist()}")
-    return imu
+            values = getattr(sample, name)
+            if _three(values) is None:
+                raise InputError(f"imu.{name}: expected three finite numbers, not {in_a_line(values)}")
+    return samples
 
 
 def _kind(odometry: Any) -> str:
