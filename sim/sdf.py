@@ -171,7 +171,7 @@ class _Reader:
             return mesh(name, _hull(np.vstack([rim, rim * [1, 1, -1]])) @ rotation.T + position)
         if shape.tag == "box":
             size = np.array([float(value) for value in (shape.findtext("size") or "").split()])
-            if size.shape != (3,) or not np.all(size > 0.0):
+            if size.shape != (3,) or not np.all(np.isfinite(size) & (size > 0.0)):
                 raise ValueError("its size is not three positive numbers")
             if not upright:
                 return mesh(name, _hull(BOX_CORNERS * size) @ rotation.T + position)
@@ -196,5 +196,8 @@ def _number(shape: ET.Element, key: str) -> float:
 
 
 def _hull(corners: Array) -> Array:
-    """Triangles (n, 3, 3) of the convex solid with these corners (k, 3)."""
-    return corners[scipy.spatial.ConvexHull(corners).simplices]
+    """Triangles (n, 3, 3) of the convex solid with these corners (k, 3); ValueError when it is flat."""
+    try:
+        return corners[scipy.spatial.ConvexHull(corners).simplices]
+    except scipy.spatial.QhullError:
+        raise ValueError("its size is next to nothing in one direction") from None

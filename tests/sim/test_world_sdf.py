@@ -163,6 +163,8 @@ def test_includes_are_found_on_the_model_path(tmp_path, monkeypatch):
     "body",
     [
         model("<box><size>1 1</size></box>"),
+        model("<box><size>1 1 inf</size></box>", "0 0 0 0.1 0 0"),
+        model("<box><size>1 1 1e-20</size></box>", "0 0 0 0.1 0 0"),
         model("<cylinder><radius>-1</radius><length>1</length></cylinder>"),
         model("<mesh><uri>none.stl</uri></mesh>"),
         model("<box><size>1 1 1</size></box>", "0 0 0"),
