@@ -197,14 +197,15 @@ class Unpacked:
 
 def _unpack(path: Path, packed: bytes, kind: str) -> tuple[bytes, str | None]:
     content, bound, problem = bytearray(), bound_of(len(packed)), None
-    start = 0
+    # Small pieces: what precedes a flipped bit is not lost with it, and none unpacks to very much. A byte of
+    # gzip is at most 1 KiB; a block of bzip2 is 37 bytes or more, and at most 46 MB.
+    start, size = 0, 1 << 10 if kind == "gzip" else 1 << 5
     while problem is None:
         unpacker: Any = bz2.BZ2Decompressor() if kind == "bzip2" else zlib.decompressobj(wbits=31)
         try:
-            # Small pieces: what precedes a flipped bit is not lost with it, and none unpacks to very much.
             while start < len(packed) and not unpacker.eof:
-                content += unpacker.decompress(packed[start : start + (1 << 10)])
-                start += 1 << 10
+                content += unpacker.decompress(packed[start : start + size])
+                start += size
                 if len(content) > bound:
                     raise _beyond(path, bound)
         except (OSError, zlib.error):

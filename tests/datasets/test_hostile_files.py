@@ -5,6 +5,7 @@ import gzip
 import os
 import struct
 import time
+import tracemalloc
 import zlib
 
 import lz4.frame
@@ -37,6 +38,17 @@ def test_a_file_that_unpacks_beyond_its_bound_is_refused_soon(tmp_path, pack, ca
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "unpacks to more than" in said
+
+
+def test_a_few_bytes_of_bzip2_do_not_take_the_memory_of_all_they_unpack_to(tmp_path):
+    (tmp_path / "a").write_bytes(bz2.compress(bytes(140 << 20)))  # 150 bytes or so
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="unpacks to more than"):
+            read_unpacked(tmp_path / "a")
+        assert tracemalloc.get_traced_memory()[1] < 200 << 20
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("pack", [bz2.compress, gzip.compress])
