@@ -73,7 +73,7 @@ def transforms(stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float
 
 def joint_state(frame: str, names: Sequence[str], joints: Joints) -> bytes:
     """sensor_msgs/JointState."""
-    position, velocity = np.array(joints.position), np.array(joints.velocity)
+    position, velocity = np.array([joints.position, joints.velocity], dtype=np.float64)
     header = _header(joints.stamp_ns, frame)
     return _bytes("sensor_msgs/msg/JointState", header, list(names), position, velocity, _EMPTY)
 

@@ -22,8 +22,8 @@ NOMINAL_AGREEMENT = 0.8
 DOUBTFUL = 0.25
 # A single scan may be noise: this many in a row are not, and this many settle a question (not measured).
 DOUBTS, SETTLING = 2, 6
-# Filter updates from one unsuccessful search to the next; with 64, or 24 where the agreement has faded, 13
-# episodes of lost robots are found in the same times.
+# Filter updates from one search to the next; with 64, or 24 where the agreement has faded, 13 episodes of
+# lost robots are found in the same times.
 PAUSE = 32
 # An agreement below this share of the best so far is a reason for a search: without it, a robot kidnapped in
 # the house noticed later and was at its goal after 94 s instead of 71 s.
