@@ -75,8 +75,11 @@ def seed(text: str) -> int:
 
 def positive(text: str) -> float:
     """A finite number of more than 0."""
-    value = float(text)
-    if not (math.isfinite(value) and value > 0.0):
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
     return value
 

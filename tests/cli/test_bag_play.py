@@ -75,7 +75,7 @@ def test_playing_takes_the_time_it_should(player):
 
 
 @pytest.mark.parametrize("speed", [("bag", "play", "BAG", "--rate"), ("teleop", "--speed")])
-@pytest.mark.parametrize("value", ["0", "-1", "inf", "nan"])
+@pytest.mark.parametrize("value", ["0", "-1", "inf", "nan", "fast"])
 def test_a_speed_that_is_none_is_refused(speed, value, capsys):
     assert main([*speed, value]) == 2
     assert f"argument {speed[-1]}: must be a positive number, not {value}" in capsys.readouterr().err
