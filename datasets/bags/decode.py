@@ -234,9 +234,7 @@ def pose_array(cursor: Cursor) -> tuple[int, Array]:
     """geometry_msgs/PoseArray: stamp and (n, 3) x, y, yaw."""
     stamp, _ = cursor.header()
     rows = cursor.array("f8", 7 * cursor.count(56)).reshape(-1, 7)
-    x, y, _, qx, qy, qz, qw = rows.T
-    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-    return stamp, np.stack([x, y, yaw], axis=-1)
+    return stamp, np.column_stack([rows[:, :2], yaws_of(rows[:, 3:])])
 
 
 def joint_state(cursor: Cursor) -> tuple[int, list[str], Array]:

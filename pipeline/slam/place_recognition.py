@@ -225,7 +225,7 @@ def _believed(
     for members, supporters, mean in feasible:
         ambiguous = any(
             competing(members, other, comparable, agree) and their_mean <= ALIKE_FACTOR * mean + ALIKE_FLOOR
-            for other, theirs, their_mean in feasible
+            for other, _, their_mean in feasible
             if other is not members
         )
         if ambiguous:

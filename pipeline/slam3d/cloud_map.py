@@ -96,5 +96,5 @@ def height_colours(z: Array) -> Array:
     """Colours (n, 3) from blue (low) over green to red (high), by the heights' own range."""
     if len(z) == 0:
         return np.zeros((0, 3))
-    heights = np.percentile(z, [0.0, 50.0, 100.0])
+    heights = np.percentile(z, [1.0, 50.0, 99.0])
     return np.stack([np.interp(z, heights, band) for band in np.eye(3)[::-1]], axis=-1)

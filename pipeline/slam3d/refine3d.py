@@ -8,7 +8,6 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.correspondences import FINE
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.joint_refinement import RefineConfig, in_rounds, overlapping_pairs
 from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY, NEIGHBOURS
@@ -26,8 +25,8 @@ RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""
 POINTS = 1500
 """Points of a cloud that are aligned."""
-CARRIED = np.full(12, 0.01)
-"""Standard deviations of a pose that the keys have carried [m, rad]."""
+CARRIED_GATE_M, CARRIED = 0.1, np.full(12, 0.01)
+"""How far off a pose that the keys have carried may be, and its standard deviations [m, rad]."""
 
 
 def refine(
@@ -64,6 +63,6 @@ def reregistered(places: Places, points: Array, T_map_carried: Array) -> Array:
     near = places.nearest(T_map_carried)
     T_map_key = places.T_map_keys[near]
     guess = se3.inverse(T_map_key) @ T_map_carried
-    found = places.fit(near, thinned(points, POINTS), guess, FINE.gate, CARRIED)
-    near_enough = np.linalg.norm((found.T - guess)[:3, 3]) <= FINE.gate
+    found = places.fit(near, thinned(points, POINTS), guess, CARRIED_GATE_M, CARRIED)
+    near_enough = np.linalg.norm((found.T - guess)[:3, 3]) <= CARRIED_GATE_M
     return T_map_key @ found.T if found.overlap >= LEAST_OVERLAP and near_enough else T_map_carried

@@ -1,4 +1,4 @@
-"""Campaigns: expansion, failures, resuming, the table."""
+"""Campaigns as they run: failures, resuming, the table."""
 
 import json
 import sys
@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.campaigns import CAMPAIGN, UNDRAWN
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.output_lock import MARKER, lock_output
 from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree, write_json, write_manifest
-from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, load_campaign
+from turtlebag.pipeline.campaign.campaign_file import Campaign, load_campaign
 from turtlebag.pipeline.campaign.case import Where, recipes, run_case
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.store import Store
@@ -18,25 +19,6 @@ from turtlebag.pipeline.campaign.table import query, write_table
 from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 
 ROOT = Path(__file__).parents[2]
-CAMPAIGN = """
-name: small
-question: Does it?
-factors:
-  size: [1, 2, 3]
-  kind: {plain: "", strange: "--odd 'two words'"}
-  seed: {first: 1, last: 4}
-stages:
-  make: "fake --size {size} --seed {seed} {kind}"
-  check: "fake --size {size} --of {make}/metrics.json"
-results: {error_m: {at: "make:error.rmse", label: error, unit: cm}, good: "check:good"}
-compare: size
-against: 1
-figures:
-  - {x: size, y: error_m, lines: kind}
-  - {x: size, y: good, panels: kind}
-"""
-UNDRAWN = CAMPAIGN.partition("figures:")[0]
-"""The same without pictures, which take longer than all of its cases."""
 
 
 def fake_main(argv):
@@ -55,88 +37,6 @@ def fake_main(argv):
     (out / "big.bin").write_bytes(b"0" * 100)
     write_manifest(out, stage="fake", command=argv, inputs={}, seed=None, wall_s=0.0)
     return 0
-
-
-def load(tmp_path, text=CAMPAIGN):
-    (tmp_path / "campaign.yaml").write_text(text)
-    return load_campaign(str(tmp_path / "campaign.yaml"))
-
-
-def test_the_grid_has_every_combination_once(tmp_path):
-    found = cases(load(tmp_path))
-    assert len(found) == 24
-    assert len({case.name for case in found}) == 24
-    strange = next(case for case in found if case.factors["kind"] == "strange")
-    assert strange.commands["make"][-2:] == ["--odd", "two words"]
-    assert strange.commands["check"][-1] == "{make}/metrics.json"
-
-
-def test_levels_can_be_scaled_and_can_name_each_other(tmp_path):
-    text = CAMPAIGN.replace(
-        "\"--odd 'two words'\"", '"--a={size:1-0.25*x} --b={size:0.1*x} --c={size:-2+0.5*x}"'
-    )
-    strange = next(case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange")
-    assert strange.commands["make"][-3:] == ["--a=0.75", "--b=0.1", "--c=-1.5"]
-    with pytest.raises(InputError, match="not of the form"):
-        cases(load(tmp_path, text.replace("0.1*x", "x*x")))
-
-
-def test_levels_can_stand_for_texts(tmp_path):
-    text = CAMPAIGN.replace("\"--odd 'two words'\"", '"{size:--a [0, 0]|--b|--c [1]}"')
-    found = [case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange"]
-    assert found[0].commands["make"][-3:] == ["--a", "[0,", "0]"]
-    assert [case.commands["make"][-1] for case in found[4::4]] == ["--b", "[1]"]
-    with pytest.raises(InputError, match="no text for level 3"):
-        cases(load(tmp_path, text.replace("|--c [1]", "")))
-
-
-def test_cases_whose_commands_are_the_same_are_rows_of_their_own(tmp_path):
-    text = CAMPAIGN.replace("\"--odd 'two words'\"", '"--b={size:0*x}"').replace(
-        "--size {size} ", "--size 1 "
-    )
-    found = cases(load(tmp_path, text))
-    assert found[0].commands == found[8].commands
-    assert len({case.name for case in found}) == len(found) == 24
-
-
-def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
-    text = CAMPAIGN.replace("size: [1, 2, 3]", "size: {low: 0.5, high: 2.0}")
-    with pytest.raises(InputError, match="needs `sample`"):
-        load(tmp_path, text)
-    found = cases(load(tmp_path, text + "sample: 50\n"))
-    sizes = [case.factors["size"] for case in found]
-    assert len(sizes) == 50
-    assert 0.5 <= min(sizes) < max(sizes) <= 2.0
-    assert cases(load(tmp_path, text + "sample: 50\n")) == found
-    assert cases(load(tmp_path, text + "sample: 50\nseed: 2\n")) != found
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("compare: size", "compare: shape", "not a factor"),
-        ('"make:error.rmse"', '"cook:error"', "expected STAGE:PATH"),
-        ("{size} --seed", "{height} --seed", "neither a factor nor an earlier stage"),
-        ("y: good", "y: bad", "not a result"),
-        ("question:", "questoin:", "unknown key"),
-        ("compare: size", "shared: [cook]", "cook is not a stage"),
-        ("unit: cm", "unit: inch", "unit inch: unknown; known: "),
-        ("panels: kind", "panels: colour", "colour is not a factor"),
-        ("size: [1, 2, 3]", "size: []", "factors.size: has no levels"),
-        ("{first: 1, last: 4}", "{first: 4, last: 1}", "factors.seed: first 4 is after last 1"),
-        ("against: 1", "against: 4", "against: 4 is not a level of size"),
-        ("  seed: {first", "  error: [1]\n  seed: {first", "factors.error: the table has a column"),
-        ("  seed: {first", "  case: [1]\n  seed: {first", "factors.case: the table has a column"),
-        (' good: "check', ' failed: "check', "results.failed: the table has a column"),
-        (' good: "check', ' size: "check', "size is both a factor and a result"),
-        ("  seed: {first", "  run: [1, 2]\n  seed: {first", "factors.run: no stage uses it"),
-        ('/metrics.json"', "/metrics.json 'x\"", "stages.check: .* 'x`: no closing quotation"),
-    ],
-)
-def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
-    assert old in CAMPAIGN
-    with pytest.raises(InputError, match=message):
-        cases(load(tmp_path, CAMPAIGN.replace(old, new)))
 
 
 @pytest.mark.parametrize("sql", ["", ";", "-- nothing"])
@@ -386,13 +286,6 @@ def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_rea
     assert inputs[str(tmp_path / "own.yaml")]["sha256"] == {"own.yaml": sha256_text("a: 1\n")}
 
 
-def test_every_shipped_study_can_be_expanded():
-    for path in FOLDER.glob("*.yaml"):
-        campaign = load_campaign(path.stem)
-        assert campaign.name == path.stem
-        assert len(cases(campaign)) > 1
-
-
 def test_a_stage_may_have_nothing_to_do_and_an_output_not_depend_on_the_seed(tmp_path):
     campaign = load_campaign(str(ROOT / "benchmarks/front_ends.yaml"))
     found = cases(campaign)
@@ -406,8 +299,3 @@ def test_a_stage_may_have_nothing_to_do_and_an_output_not_depend_on_the_seed(tmp
     assert len({recipes(case, "")["drive"] for case in driven}) == 5
     row = row_of(tmp_path, size=2, at={"stages": {"make": "fake", "more": ""}, "results": {"r": "more:r"}})
     assert (row["failed"], row["r"]) == (False, None)
-
-
-def test_a_campaign_needs_its_keys():
-    with pytest.raises(ValueError, match="stages"):
-        Campaign.model_validate({"name": "x", "factors": {}, "results": {}})
