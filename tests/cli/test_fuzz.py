@@ -88,7 +88,7 @@ def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
     monkeypatch.setattr("tests.helpers.fuzz_inputs.WAITING", 600)
     begin = time.process_time()
     assert complaint(["short"], tmp_path, seconds=0.1) == ""
-    assert time.process_time() - begin > 0.2
+    assert time.process_time() - begin > 0.1
     assert "more than 0.1 s" in complaint(["endless"], tmp_path, seconds=0.1)
 
 
