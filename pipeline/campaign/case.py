@@ -9,7 +9,7 @@ import tarfile
 import tempfile
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -20,7 +20,6 @@ from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.cases import Case
-from turtlebag.pipeline.campaign.leases import made_once
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.stages.run_again import Run
 from turtlebag.pipeline.terminal.messages import verbosity_kept
@@ -94,6 +93,23 @@ def kept_at(case: Case, campaign: Campaign, maker: str, stage: str) -> str:
     if stage in campaign.shared:
         return f"{SHARED}/{recipes(case, maker)[stage][:16]}"
     return f"{CASES}/{case.name}/{stage}"
+
+
+def made_once(store: Store, name: str, make: Callable[[], bytes]) -> bytes:
+    """Content of an object; where there is none yet it is made, by one of all workers that ask for it.
+
+    Who makes it holds a lock of the Dask scheduler, which takes it back from a worker that is lost.
+    """
+    from distributed import Lock
+
+    content = store.read(name)
+    if content is None:
+        with Lock(store.at(name)):
+            content = store.read(name)
+            if content is None:
+                content = make()
+                store.put(name, content)
+    return content
 
 
 def _scratch() -> str | None:

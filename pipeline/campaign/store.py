@@ -1,14 +1,12 @@
 """Where a campaign keeps what it makes: objects below a URL, each of them whole or absent.
 
 A folder, `memory://` or a bucket, through fsspec. An object is put in one piece: who is killed meanwhile
-leaves none. `put_new` is a conditional put: of any number of processes that try, one succeeds.
+leaves none.
 """
 
 from __future__ import annotations
 
-import os
 import secrets
-import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,7 +21,6 @@ from turtlebag.datasets.urls import filesystem, is_local, reason_of
 UNFINISHED = ".unfinished"
 """Folder of a local store in which objects grow, to be moved to their names."""
 _MANY = 1000
-_memory = threading.Lock()
 
 
 @contextmanager
@@ -74,25 +71,6 @@ class Store:
             self._grown(content).replace(self._made(name))
         else:
             self.files.pipe_file(self.at(name), content)
-
-    def put_new(self, name: str, content: bytes) -> bool:
-        """Write an object unless there is one; whether it was written."""
-        files = self.files
-        try:
-            if self.is_local:
-                grown = self._grown(content)
-                try:
-                    os.link(grown, self._made(name))
-                finally:
-                    grown.unlink()
-            elif "memory" in files.protocol:
-                with _memory:  # it looks first and writes then
-                    files.pipe_file(self.at(name), content, mode="create")
-            else:
-                files.pipe_file(self.at(name), content, mode="create")
-        except FileExistsError:
-            return False
-        return True
 
     def read(self, name: str) -> bytes | None:
         """Content of an object; None when there is none."""

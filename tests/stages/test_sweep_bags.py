@@ -1,13 +1,12 @@
 """Campaigns over bags: patterns, a row for each bag, and everything in a store."""
 
 import json
-import threading
 import time
 import uuid
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import distributed
 import fsspec
 import pytest
 
@@ -15,10 +14,9 @@ from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.pipeline.campaign import leases
 from turtlebag.pipeline.campaign.bags import _below, find_bags
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
-from turtlebag.pipeline.campaign.case import Where, row_of
+from turtlebag.pipeline.campaign.case import Where, made_once, row_of
 from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.campaign.progress import Progress
 from turtlebag.pipeline.campaign.store import Store
@@ -76,10 +74,9 @@ def place(request, tmp_path, monkeypatch):
     return f"s3://{name}"
 
 
-def test_an_object_is_put_once_and_whole(place):
+def test_an_object_is_put_whole(place):
     store = Store(place).below("part")
-    assert store.put_new("a/b", b"first")
-    assert not store.put_new("a/b", b"second")
+    store.put("a/b", b"first")
     assert store.read("a/b") == b"first"
     store.put("a/b", b"third")
     assert list(store.read_all(store.names("a"))) == [b"third"]
@@ -93,51 +90,36 @@ def test_an_object_is_put_once_and_whole(place):
     assert store.names("a") == []
 
 
-def test_what_many_want_is_made_by_one(place, monkeypatch):
-    monkeypatch.setattr(leases, "POLL_S", 0.05)
-    store, made, found = Store(place), [], []
+@pytest.fixture
+def cluster():
+    """Four workers in this process."""
+    with distributed.Client(n_workers=4, threads_per_worker=1, processes=False, dashboard_address=None) as it:
+        yield it
+
+
+def test_what_many_want_is_made_by_one(place, cluster, tmp_path):
+    store, made = Store(place), tmp_path / "made"
 
     def make():
-        made.append(1)
+        with made.open("a") as file:
+            file.write("x")
         time.sleep(0.3)
         return b"made"
 
-    want = partial(leases.made_once, store, "it", make)
-    wanting = [threading.Thread(target=lambda: found.append(want())) for _ in range(4)]
-    for thread in wanting:
-        thread.start()
-    for thread in wanting:
-        thread.join()
-    assert found == [b"made"] * 4
-    assert len(made) == 1
-    assert store.names("leases") == []
+    wanting = [cluster.submit(made_once, store, "it", make, pure=False) for _ in range(4)]
+    assert cluster.gather(wanting) == [b"made"] * 4
+    assert made_once(store, "it", make) == b"made"
+    assert made.read_text() == "x"
 
 
-def test_a_lease_is_renewed_and_that_of_a_lost_worker_taken_over(place, monkeypatch):
-    monkeypatch.setattr(leases, "LEASE_S", 0.3)
-    monkeypatch.setattr(leases, "BEAT_S", 0.05)
-    store = Store(place)
-    store.put("leases/it/0", b"of a worker that is no more")
-
-    def make():
-        mark, until = store.read("leases/it/1"), time.monotonic() + 20.0
-        while store.read("leases/it/1") == mark:
-            assert time.monotonic() < until
-            time.sleep(0.02)
-        return b"made"
-
-    assert leases.made_once(store, "it", make) == b"made"
-    assert store.names("leases") == []
-
-
-def test_who_fails_gives_the_lease_up(place):
+def test_who_fails_gives_the_lock_up(tmp_path, cluster):
     def broken():
         raise RuntimeError("a defect")
 
-    store = Store(place)
+    store = Store(str(tmp_path))
     with pytest.raises(RuntimeError):
-        leases.made_once(store, "it", broken)
-    assert leases.made_once(store, "it", lambda: b"made") == b"made"
+        made_once(store, "it", broken)
+    assert made_once(store, "it", lambda: b"made") == b"made"
 
 
 def test_a_table_is_a_file_for_each_level_and_whole_only_with_its_index(place):

@@ -27,10 +27,7 @@ SHARED = CAMPAIGN.replace("{make:", '{base: "base --size {size} --seed 0", make:
 STAND_IN = """
 import os, sys, time
 from pathlib import Path
-from turtlebag.pipeline.campaign import leases
 from turtlebag.datasets.outputs import Output, write_json, write_manifest
-
-leases.LEASE_S, leases.BEAT_S = 4.0, 0.3
 
 def main(argv):
     out = Path(argv[argv.index("--out") + 1])
@@ -54,6 +51,11 @@ if __name__ == "__main__":
     options = {"scheduler": sys.argv[3], "store": sys.argv[4]} if len(sys.argv) > 3 else {"workers": 1}
     sys.exit(sweep(sys.argv[1], Output(Path(sys.argv[2])), main, **options))
 """
+# The lock of a lost worker is given up sooner than usual.
+LOCKS = {
+    "DASK_DISTRIBUTED__SCHEDULER__LOCKS__LEASE_TIMEOUT": "4s",
+    "DASK_DISTRIBUTED__SCHEDULER__LOCKS__LEASE_VALIDATION_INTERVAL": "0.5s",
+}
 
 
 @pytest.fixture
@@ -66,7 +68,7 @@ def place(tmp_path):
 
 
 def start(place, *words, at=None, **more):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "RAN": str(place / "ran"), **more}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "RAN": str(place / "ran"), **LOCKS, **more}
     with (place / "log").open("ab") as log:
         return subprocess.Popen(
             [sys.executable, *map(str, words)],
