@@ -32,7 +32,8 @@ def _described(dataset: Dataset) -> str:
     return (
         f"{dataset.name}: {dataset.title}; {dataset.scans} scans of {dataset.beams} beams, "
         f"laser {dataset.laser_x_m:g} m ahead, no return {dataset.no_return_m:g} m\n"
-        f"  {dataset.license}; {dataset.source}\n  {dataset.citation}\n{files}"
+        f"  {dataset.license}; {dataset.source}\n"
+        f"  Log: {dataset.author}. Relations: {dataset.relations}\n{files}"
     )
 
 

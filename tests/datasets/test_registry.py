@@ -25,7 +25,8 @@ def test_every_entry_is_complete():
     for name, dataset in DATASETS.items():
         assert dataset.name == name
         assert dataset.license
-        assert dataset.citation
+        assert dataset.author
+        assert dataset.relations
         for file in dataset.files:
             assert file.url.startswith("https://")
             assert re.fullmatch("[0-9a-f]{64}", file.sha256)
