@@ -67,10 +67,7 @@ def map_file(text: str) -> Path:
 
 def seed(text: str) -> int:
     """A seed: a non-negative integer."""
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"a seed must be 0 or more, not {value}")
-    return value
+    return _whole(text, 0)
 
 
 def positive(text: str) -> float:
@@ -86,9 +83,16 @@ def positive(text: str) -> float:
 
 def count(text: str) -> int:
     """A number of things, 1 or more."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be 1 or more, not {text}")
+    return _whole(text, 1)
+
+
+def _whole(text: str, least: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"must be a whole number, {least} or more, not {text}")
     return value
 
 
