@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVarTuple
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Cloud, Observation, Odometry, Scan, Twist
 
+Fields = TypeVarTuple("Fields")
 _POSE_COVARIANCE = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
 """Diagonal that the TurtleBot3's odometry publishes: z, roll and pitch are not measured."""
 _WHEELS = ("wheel_left_joint", "wheel_right_joint")
@@ -36,47 +38,47 @@ class BagWriter(BagFolder):
         self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
     ) -> None:
         """/tf_static: (parent, child, (x, y, z) [m], yaw [rad]) of each link."""
-        self._write("/tf_static", stamp_ns, cdr.transforms(stamp_ns, links))
+        self._write("/tf_static", stamp_ns, cdr.transforms, stamp_ns, links)
 
     def observation(self, observation: Observation) -> None:
         """/imu, /odom, /tf, /joint_states and, when a sweep was completed, /scan."""
         for sample in observation.imu:
-            data = cdr.imu("imu_link", sample, _GYRO_COVARIANCE, _ACCELERATION_COVARIANCE)
-            self._write("/imu", sample.stamp_ns, data)
+            covariances = _GYRO_COVARIANCE, _ACCELERATION_COVARIANCE
+            self._write("/imu", sample.stamp_ns, cdr.imu, "imu_link", sample, *covariances)
         self.odometry(observation.odometry)
         joints = observation.joints
-        self._write("/joint_states", joints.stamp_ns, cdr.joint_state("base_link", _WHEELS, joints))
+        self._write("/joint_states", joints.stamp_ns, cdr.joint_state, "base_link", _WHEELS, joints)
         if observation.scan is not None:
             self.scan(observation.stamp_ns, observation.scan)
 
     def odometry(self, odometry: Odometry) -> None:
         """/odom and its transform on /tf."""
         stamp, T = odometry.stamp_ns, odometry.T_odom_base
-        data = cdr.odometry("odom", "base_footprint", stamp, T, odometry.twist, _POSE_COVARIANCE)
-        self._write("/odom", stamp, data)
+        fields = "odom", "base_footprint", stamp, T, odometry.twist, _POSE_COVARIANCE
+        self._write("/odom", stamp, cdr.odometry, *fields)
         self._transform("odom", "base_footprint", stamp, T)
 
     def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
         """/ground_truth/odom, in the frame world; never in /tf."""
-        data = cdr.odometry("world", "base_footprint", stamp_ns, T_world_base, twist, cdr.NO_COVARIANCE)
-        self._write("/ground_truth/odom", stamp_ns, data)
+        fields = "world", "base_footprint", stamp_ns, T_world_base, twist, cdr.NO_COVARIANCE
+        self._write("/ground_truth/odom", stamp_ns, cdr.odometry, *fields)
 
     def command(self, stamp_ns: int, twist: Twist) -> None:
         """/cmd_vel; a Twist has no header, its time is the log time."""
-        self._write("/cmd_vel", stamp_ns, cdr.twist(twist))
+        self._write("/cmd_vel", stamp_ns, cdr.twist, twist)
 
     def owner(self, stamp_ns: int, owner: str) -> None:
         """/cmd_vel_owner: the source of the commands from now on."""
-        self._write("/cmd_vel_owner", stamp_ns, cdr.string(owner))
+        self._write("/cmd_vel_owner", stamp_ns, cdr.string, owner)
 
     def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
         """/map."""
-        data = cdr.occupancy_grid("map", stamp_ns, grid.cells, grid.resolution, grid.T_map_grid.xyt)
-        self._write("/map", stamp_ns, data)
+        fields = "map", stamp_ns, grid.cells, grid.resolution, grid.T_map_grid.xyt
+        self._write("/map", stamp_ns, cdr.occupancy_grid, *fields)
 
     def amcl_pose(self, stamp_ns: int, T_map_base: SE2, covariance: Array) -> None:
         """/amcl_pose with the (3, 3) covariance of x, y, yaw."""
-        self._write("/amcl_pose", stamp_ns, cdr.pose_with_covariance("map", stamp_ns, T_map_base, covariance))
+        self._write("/amcl_pose", stamp_ns, cdr.pose_with_covariance, "map", stamp_ns, T_map_base, covariance)
 
     def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
         """The localiser's transform, on /tf."""
@@ -84,29 +86,32 @@ class BagWriter(BagFolder):
 
     def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
         """/particlecloud from a batch of poses (n,)."""
-        self._write("/particlecloud", stamp_ns, cdr.pose_array("map", stamp_ns, T_map_base))
+        self._write("/particlecloud", stamp_ns, cdr.pose_array, "map", stamp_ns, T_map_base)
 
     def plan(self, stamp_ns: int, T_map_base: SE2) -> None:
         """/plan from a batch of poses (n,)."""
-        self._write("/plan", stamp_ns, cdr.path("map", stamp_ns, T_map_base))
+        self._write("/plan", stamp_ns, cdr.path, "map", stamp_ns, T_map_base)
 
     def goal(self, stamp_ns: int, T_map_goal: SE2) -> None:
         """/goal_pose."""
-        self._write("/goal_pose", stamp_ns, cdr.pose_stamped("map", stamp_ns, T_map_goal))
+        self._write("/goal_pose", stamp_ns, cdr.pose_stamped, "map", stamp_ns, T_map_goal)
 
     def scan(self, log_time_ns: int, scan: Scan) -> None:
         """/scan; its header has the stamp of the first beam, the log time is when it was complete."""
-        self._write("/scan", log_time_ns, cdr.laser_scan("base_scan", scan))
+        self._write("/scan", log_time_ns, cdr.laser_scan, "base_scan", scan)
 
     def cloud(self, log_time_ns: int, stamp_ns: int, cloud: Cloud, frame: str) -> None:
         """/points: a 3D scan in the given lidar frame, its stamp that of the first point."""
-        self._write("/points", log_time_ns, cdr.point_cloud(frame, stamp_ns, cloud.points, cloud.times))
+        self._write("/points", log_time_ns, cdr.point_cloud, frame, stamp_ns, cloud.points, cloud.times)
 
     def _transform(self, parent: str, child: str, stamp_ns: int, T: SE2) -> None:
         x, y, yaw = T.xyt.tolist()
-        self._write("/tf", stamp_ns, cdr.transforms(stamp_ns, [(parent, child, (x, y, 0.0), yaw)]))
+        self._write("/tf", stamp_ns, cdr.transforms, stamp_ns, [(parent, child, (x, y, 0.0), yaw)])
 
-    def _write(self, topic: str, log_time_ns: int, data: bytes) -> None:
+    def _write(
+        self, topic: str, log_time_ns: int, make: Callable[[*Fields], bytes], *fields: *Fields
+    ) -> None:
+        """A message that `make` serialises."""
         channel = self._channels.get(topic)
         if channel is None:
             kind = TOPICS[topic]
@@ -114,4 +119,4 @@ class BagWriter(BagFolder):
             qos = metadata_text(kind.qos())
             channel = self.add_topic(topic, kind.msgtype, text, qos=qos, type_hash=type_hash)
             self._channels[topic] = channel
-        self.write(channel, log_time_ns, data)
+        self.write(channel, log_time_ns, make(*fields))

@@ -18,11 +18,8 @@ class NoBag(BagWriter):
     def __init__(self) -> None:
         """Opens nothing."""
 
-    def _forget(self, *message: object, **named: object) -> None:
-        """Stores nothing."""
-
-    static_transforms = observation = cloud = truth = command = owner = map = _forget
-    amcl_pose = map_to_odom = particles = plan = goal = _forget
+    def _write(self, topic: str, log_time_ns: int, *message: object) -> None:
+        """Makes and stores nothing."""
 
 
 class RunRecorder:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from turtlebag.datasets.bags.writer import BagWriter
+from collections.abc import Callable
+
+from turtlebag.datasets.bags.writer import BagWriter, Fields
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation
 
 
 class Publisher(BagWriter):
-    """Passes every message on to `bag`, and remembers the newest map and plan."""
+    """Passes every message on to `bag`, if it is open, and remembers the newest map and plan."""
 
     def __init__(self) -> None:
         self.bag: BagWriter | None = None
@@ -34,6 +36,8 @@ class Publisher(BagWriter):
         self.path = T_map_base
         super().plan(stamp_ns, T_map_base)
 
-    def _write(self, topic: str, log_time_ns: int, data: bytes) -> None:
+    def _write(
+        self, topic: str, log_time_ns: int, make: Callable[[*Fields], bytes], *fields: *Fields
+    ) -> None:
         if self.bag is not None:
-            self.bag._write(topic, log_time_ns, data)
+            self.bag._write(topic, log_time_ns, make, *fields)
