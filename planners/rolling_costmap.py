@@ -47,7 +47,7 @@ class RollingLayer(ObstacleLayer):
 
         Beyond the edge, the way is assumed to be straight. Raises NoPath if no such place can be reached.
         """
-        if not self._beyond(goal):
+        if not self.stands_in(goal):
             return goal
         costmap, res = self.costmap, self.costmap.resolution
         ways = ways_from(costmap, pose, radius)
@@ -65,9 +65,6 @@ class RollingLayer(ObstacleLayer):
 
     def stands_in(self, goal: SE2) -> bool:
         """Whether the plan ends at the edge of the window."""
-        return self._beyond(goal)
-
-    def _beyond(self, goal: SE2) -> bool:
         xy = self.static.T_grid_map @ goal.xy
         return bool(np.any(xy < RIM_M) or np.any(xy > self.static.size[0] - RIM_M))
 
