@@ -1,9 +1,10 @@
 """A browser, and the studio's page in it."""
 
+import numpy as np
 import pytest
 
 from tests.helpers.browser import Browser, find_browser
-from tests.studio.fakes import Served
+from tests.studio.fakes import FakeSession, Served
 from tests.studio.page import HERE, PageSession, open_page
 
 KEEP_SOCKET = """
@@ -33,6 +34,14 @@ def served(browser, session):
         yield server
         browser.leave()
     assert server.failure is None
+
+
+@pytest.fixture(scope="module")
+def serving():
+    """A server that needs no browser, of a session that does nothing."""
+    with Served(FakeSession(cells=np.zeros((64, 64), dtype=np.int8))) as running:
+        yield running
+    assert running.failure is None
 
 
 @pytest.fixture

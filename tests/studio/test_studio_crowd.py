@@ -17,22 +17,15 @@ from turtlebag.pipeline.studio import socket_messages as frames_module
 from turtlebag.pipeline.studio.view import MapLayer
 
 
-@pytest.fixture(scope="module")
-def served():
-    with Served(FakeSession(cells=np.zeros((64, 64), dtype=np.int8))) as running:
-        yield running
-    assert running.failure is None
-
-
 @pytest.mark.slow
-def test_two_hundred_connections_and_sixteen_of_them_watch(served):
+def test_two_hundred_connections_and_sixteen_of_them_watch(serving):
     async def crowd():
         idle = []
         for _ in range(200):
             stream = IOStream(socket.socket())
-            await stream.connect(("127.0.0.1", served.access.port))
+            await stream.connect(("127.0.0.1", serving.access.port))
             idle.append(stream)
-        clients = await asyncio.gather(*(connect(served.url) for _ in range(200)))
+        clients = await asyncio.gather(*(connect(serving.url) for _ in range(200)))
 
         async def watch(client):
             while client.picture.bye is None and not client.picture.head:
@@ -48,15 +41,15 @@ def test_two_hundred_connections_and_sixteen_of_them_watch(served):
 
     run(crowd())
     time.sleep(0.2)
-    assert answers(served)
+    assert answers(serving)
 
 
-def deaf(served):
+def deaf(serving):
     """A socket that is opened and then never read."""
-    one = socket.create_connection(("127.0.0.1", served.access.port))
+    one = socket.create_connection(("127.0.0.1", serving.access.port))
     one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     one.sendall(
-        f"GET /socket?token={served.access.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.access.port}\r\n"
+        f"GET /socket?token={serving.access.token} HTTP/1.1\r\nHost: 127.0.0.1:{serving.access.port}\r\n"
         "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
     )
@@ -81,12 +74,12 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
     monkeypatch.setattr(server.Frames, "frame", lambda self, *a: frames.append(id(self)) or encode(self, *a))
 
     async def watch():
-        client = await connect(served.url)
+        client = await connect(serving.url)
         await client.read_for(1.5)
         return client
 
-    with Served(session) as served:
-        silent, before = [deaf(served) for _ in range(5)], -1
+    with Served(session) as serving:
+        silent, before = [deaf(serving) for _ in range(5)], -1
         while len(frames) > before:  # until the system keeps no more for them
             before = len(frames)
             time.sleep(0.6)
@@ -98,11 +91,11 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
         assert len(frames) - before < 1.2 * gaps.size + 10
         assert 0.8 < client.picture.head["factor"] < 1.2
         begun = time.monotonic()
-        served.stop()
+        serving.stop()
         assert time.monotonic() - begun < 2.0
     for one in silent:
         one.close()
-    assert served.failure is None
+    assert serving.failure is None
     assert caplog.records == []
 
 
@@ -118,11 +111,11 @@ def test_who_does_not_answer_pings_is_gone(monkeypatch):
     monkeypatch.setattr(IOLoop, "add_timeout", sooner)
 
     async def come_and_see():
-        client = await connect(served.url)
+        client = await connect(serving.url)
         return (await client.until(lambda p: p.head)).head["driver"]
 
-    with Served(FakeSession()) as served:
-        one = deaf(served)
+    with Served(FakeSession()) as serving:
+        one = deaf(serving)
         time.sleep(0.2)
         assert not run(come_and_see())
         time.sleep(1.5)  # two pings, and the time to close

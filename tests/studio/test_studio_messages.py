@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 from tornado.iostream import IOStream
 
-from tests.studio.fakes import FakeSession, Served, answers, connect, run
+from tests.studio.fakes import answers, connect, run
 from turtlebag.pipeline.studio.access import Rate
-
-
-@pytest.fixture(scope="module")
-def served():
-    with Served(FakeSession(cells=np.zeros((64, 64), dtype=np.int8))) as running:
-        yield running
-    assert running.failure is None
-
 
 MALFORMED = (
     "", "x", "[]", "null", '"drive"', "{}", '{"do": 1}', '{"do": "shutdown"}', '{"do": ["drive"]}',
@@ -26,9 +18,9 @@ MALFORMED = (
 )  # fmt: skip
 
 
-def test_messages_that_no_page_sends_end_the_socket_with_a_reason(served):
+def test_messages_that_no_page_sends_end_the_socket_with_a_reason(serving):
     async def attempt(message):
-        client = await connect(served.url)
+        client = await connect(serving.url)
         await client.until(lambda p: p.head)
         client.send(message)
         with pytest.raises(EOFError, match=r"a message|messages (must|are)"):
@@ -39,7 +31,7 @@ def test_messages_that_no_page_sends_end_the_socket_with_a_reason(served):
         return await asyncio.gather(*map(attempt, MALFORMED))
 
     assert run(attempts()) == [1008] * len(MALFORMED)
-    assert answers(served)
+    assert answers(serving)
 
 
 SENSELESS = {
@@ -54,9 +46,9 @@ SENSELESS = {
 }
 
 
-def test_values_that_make_no_sense_are_refused_in_one_line(served):
+def test_values_that_make_no_sense_are_refused_in_one_line(serving):
     async def attempts():
-        client = await connect(served.url)
+        client = await connect(serving.url)
         await client.until(lambda p: p.head)
         for count, message in enumerate(SENSELESS, start=1):
             client.send(message)
@@ -70,30 +62,30 @@ def test_values_that_make_no_sense_are_refused_in_one_line(served):
 
 
 @pytest.mark.slow
-def test_a_giant_message_is_not_even_read(served):
+def test_a_giant_message_is_not_even_read(serving):
     async def attempt():
-        client = await connect(served.url)
+        client = await connect(serving.url)
         await client.until(lambda p: p.head)
         client.send("x" * 50_000_000)
         while await client.next():
             pass
 
     run(attempt())
-    assert answers(served)
+    assert answers(serving)
 
 
-def test_more_messages_than_a_person_sends_end_the_socket(served):
+def test_more_messages_than_a_person_sends_end_the_socket(serving):
     async def attempt():
-        client = await connect(served.url)
+        client = await connect(serving.url)
         await client.until(lambda p: p.head)
         for _ in range(200):
             client.ask("stop")
         with pytest.raises(EOFError, match="at most 60 messages a second"):
             await client.until(lambda p: False)
 
-    before = len(served.session.applied)
+    before = len(serving.session.applied)
     run(attempt())
-    assert len(served.session.applied) - before <= 60
+    assert len(serving.session.applied) - before <= 60
 
 
 def test_a_rate_is_of_any_second():
@@ -105,15 +97,15 @@ def test_a_rate_is_of_any_second():
 
 
 @pytest.mark.slow
-def test_random_bytes_end_the_connection_they_come_by(served):
+def test_random_bytes_end_the_connection_they_come_by(serving):
     async def attempt(seed, opened):
         noise = np.random.default_rng(seed).bytes(20_000)
         stream = IOStream(socket.socket())
-        await stream.connect(("127.0.0.1", served.access.port))
+        await stream.connect(("127.0.0.1", serving.access.port))
         if opened:
             await stream.write(
-                f"GET /socket?token={served.access.token} HTTP/1.1\r\n"
-                f"Host: 127.0.0.1:{served.access.port}\r\n"
+                f"GET /socket?token={serving.access.token} HTTP/1.1\r\n"
+                f"Host: 127.0.0.1:{serving.access.port}\r\n"
                 "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
                 "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
             )
@@ -123,4 +115,4 @@ def test_random_bytes_end_the_connection_they_come_by(served):
 
     for seed in range(10):
         run(attempt(seed, opened=seed % 2 == 0))
-    assert answers(served)
+    assert answers(serving)
