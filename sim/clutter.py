@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
+from turtlebag.sim.generators import seeded
 from turtlebag.sim.movers import Mover
 from turtlebag.sim.raycast import roomiest
 from turtlebag.sim.shapes import Solid, box, cylinder, sections
@@ -26,9 +27,8 @@ SPAWN_M, ROUTE_M = 0.8, 0.35
 LEFT, LEAST = 0.85, 0.4
 """Shares of the floor that must stay in reach: of what no box takes up, and of all."""
 HEIGHT = (0.0, 1.0)
-LIMITS = {"boxes": 20, "movers": 20}
+LIMITS = {"boxes": (0, 20), "movers": (0, 20)}
 TRIES = 300
-LONGEST_SEED = 100
 
 
 def cluttered(world: World, settings: str) -> World:
@@ -37,7 +37,9 @@ def cluttered(world: World, settings: str) -> World:
     Boxes never cut off much of the floor. The first boxes of a seed are the same however many follow, and
     movers do not depend on boxes; a mover stops before it would touch the robot.
     """
-    seed, counts = _parsed(f"{world.name}+clutter:{settings}", settings)
+    name = f"{world.name}+clutter:{settings}"
+    seed, given = seeded(name, settings, LIMITS)
+    counts = {"boxes": 3, "movers": 0} | given
     floor = _Floor(world)
     solids: list[Solid] = []
     rng = stream(seed, "clutter boxes")
@@ -45,23 +47,7 @@ def cluttered(world: World, settings: str) -> World:
         solids.append(_box(number, floor, solids, rng, world.name))
     rng = stream(seed, "clutter movers")
     movers = [_mover(number, floor, rng) for number in range(counts["movers"])]
-    name = f"{world.name}+clutter:{settings}"
     return replace(world, name=name, shapes=(*world.shapes, *solids), movers=(*world.movers, *movers))
-
-
-def _parsed(where: str, settings: str) -> tuple[int, dict[str, int]]:
-    seed, *pairs = settings.split(",")
-    counts = {"boxes": 3, "movers": 0}
-    if not seed.isdecimal() or len(seed) > LONGEST_SEED:
-        raise InputError(f"{where}: clutter needs a seed, as in +clutter:7,boxes=3,movers=2")
-    for pair in pairs:
-        key, _, value = pair.partition("=")
-        if key not in counts:
-            raise InputError(f"{where}: clutter has no option '{key}' (it has: {', '.join(counts)})")
-        if not value.isdecimal() or len(value) > LONGEST_SEED or int(value) > LIMITS[key]:
-            raise InputError(f"{where}: {key}={value}: must be a whole number up to {LIMITS[key]}")
-        counts[key] = int(value)
-    return int(seed), counts
 
 
 class _Floor:

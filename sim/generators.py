@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.seeds import stream
 from turtlebag.sim.shapes import Solid, box, cylinder
 
@@ -146,7 +149,33 @@ LIMITS = {
     "density": (0.0, 5.0),
     "size": (4.0, 60.0),
 }
-"""Least and greatest value of each generator's parameters."""
+"""Least and greatest value of each generator's parameters; those of whole numbers are whole."""
+LONGEST_SEED = 100
+
+
+def seeded(
+    where: str, settings: str, limits: Mapping[str, tuple[float, float]]
+) -> tuple[int, dict[str, Any]]:
+    """The seed and the numbers of `SEED,key=number,...`, each within its limits; InputError for any other."""
+    seed, *pairs = settings.split(",")
+    if not seed.isdecimal() or len(seed) > LONGEST_SEED:
+        raise InputError(f"{where}: needs a seed, as in {where.removesuffix(settings).rstrip(':')}:7")
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        key, _, text = pair.partition("=")
+        if key not in limits:
+            raise InputError(f"{where}: has no option '{key}' (it has: {', '.join(limits)})")
+        (low, high), whole = limits[key], isinstance(limits[key][0], int)
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high or (whole and value % 1.0):
+            kind = "a whole number from" if whole else "a number from"
+            raise InputError(f"{where}: {key}={text}: must be {kind} {low:g} to {high:g}")
+        options[key] = int(value) if whole else value
+    return int(seed), options
+
 
 GENERATORS: dict[str, Callable[..., Generated]] = {"maze": maze, "office": office, "forest": forest}
 

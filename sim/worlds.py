@@ -12,7 +12,7 @@ from turtlebag.datasets.parts import Answer, find, is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.clutter import cluttered
-from turtlebag.sim.generators import GENERATORS, LIMITS
+from turtlebag.sim.generators import GENERATORS, LIMITS, seeded
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.sdf import load_sdf
 from turtlebag.sim.shapes import Solid, contains, sections
@@ -127,23 +127,9 @@ def _generated(where: str, name: str, settings: str) -> World:
     if name not in GENERATORS:
         raise InputError(f"{where}: unknown generator '{name}'; known: {', '.join(GENERATORS)}")
     generator = GENERATORS[name]
-    known = [key for key in inspect.signature(generator).parameters if key != "seed"]
-    seed, *pairs = settings.split(",")
-    options: dict[str, float] = {}
-    for pair in pairs:
-        key, _, value = pair.partition("=")
-        if key not in known:
-            raise InputError(f"{where}: {name} has no option '{key}' (it has: {', '.join(known)})")
-        try:
-            options[key] = int(float(value)) if key == "cells" else float(value)
-        except ValueError:
-            raise InputError(f"{where}: {key}={value}: not a number") from None
-        low, high = LIMITS[key]
-        if not low <= options[key] <= high:
-            raise InputError(f"{where}: {key}={value}: must be {low:g} to {high:g}")
-    if not seed.isdecimal():
-        raise InputError(f"{where}: a generated world needs a seed, as in {name}:7")
-    solids, spawn = generator(int(seed), **options)
+    limits = {key: LIMITS[key] for key in inspect.signature(generator).parameters if key != "seed"}
+    seed, options = seeded(where, settings, limits)
+    solids, spawn = generator(seed, **options)
     bounds = bounds_of(tuple(solids), MARGIN_M)
     label = f"{name}:{settings}"
     return World(label, "burger", SE2.from_xyt(*spawn), tuple(solids), bounds, (), {})

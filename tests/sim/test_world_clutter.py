@@ -53,10 +53,10 @@ def test_more_boxes_keep_the_first_and_leave_the_movers_alone():
         ("", "needs a seed"),
         ("-1", "needs a seed"),
         ("3,cars=2", "no option 'cars'"),
-        ("3,boxes=two", "whole number up to 20"),
-        ("3,boxes=999", "whole number up to 20"),
+        ("3,boxes=two", "whole number from 0 to 20"),
+        ("3,boxes=999", "whole number from 0 to 20"),
         ("9" * 5000, "needs a seed"),
-        ("3,boxes=" + "9" * 5000, "whole number up to 20"),
+        ("3,boxes=" + "9" * 5000, "whole number from 0 to 20"),
     ],
 )
 def test_mistakes_are_named(settings, message):
