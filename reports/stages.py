@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from turtlebag.datasets.bags.reader import read_poses
+from turtlebag.datasets.bags.source import LOGS, PACKED, SUFFIXES
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
@@ -28,7 +29,7 @@ from turtlebag.datasets.yaml_files import checked, plain_values
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
 # Files that tie stages together when their hashes agree; a shared config proves nothing.
-LINKING = (".pgm", ".mcap", ".db3", ".bag", ".tum", ".clf", ".log", ".gz", ".bz2")
+LINKING = (".pgm", ".tum", *SUFFIXES, *LOGS, *PACKED)
 # Files that no two recordings share, of one world either.
 DRIVEN = (".mcap", ".tum")
 

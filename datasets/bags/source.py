@@ -30,6 +30,8 @@ from turtlebag.datasets.yaml_files import plain_values
 
 MAGICS = {MAGIC: "mcap", b"SQLite format 3\0": "sqlite3", ROS1_MAGIC: "ros1"}
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
+LOGS, PACKED = (".clf", ".log"), (".gz", ".bz2")
+"""Endings of CARMEN logs, and what may follow the ending of a bag or log."""
 TRUTH_PREFIX = "/ground_truth"
 
 

@@ -6,15 +6,14 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from turtlebag.datasets.bags.source import SUFFIXES
+from turtlebag.datasets.bags.source import LOGS, PACKED, SUFFIXES
 from turtlebag.datasets.bags.topics import METADATA_FILE
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.datasets.urls import filesystem, is_local
 from turtlebag.pipeline.campaign.store import or_else
 
-PACKED = ("", ".gz", ".bz2", ".zstd")
-RECORDED = tuple(kind + packed for kind in (*SUFFIXES, ".clf", ".log") for packed in PACKED)
+RECORDED = tuple(kind + packed for kind in (*SUFFIXES, *LOGS) for packed in ("", *PACKED, ".zstd"))
 
 
 def find_bags(patterns: Sequence[str]) -> dict[str, str]:

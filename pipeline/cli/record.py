@@ -23,7 +23,7 @@ def add_arguments(parser: Parser) -> None:
 
 def inputs(args: argparse.Namespace) -> list[Path]:
     """World, robot and settings if they are files, and the bag whose commands are replayed."""
-    from turtlebag.pipeline.stages.bag_commands import is_recording
+    from turtlebag.pipeline.stages.record import is_recording
     from turtlebag.sim.teleop_scripts import script_names
 
     replayed = is_recording(args.teleop) and args.teleop not in script_names()

@@ -6,17 +6,20 @@ from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.bags.source import PACKED, SUFFIXES
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, sha256_text
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import save_tum
-from turtlebag.datasets.types import Observation, Trajectory, Twist
+from turtlebag.datasets.types import Observation, Stamps, Trajectory, Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
-from turtlebag.pipeline.stages.bag_commands import is_recording, replayed
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
@@ -187,3 +190,26 @@ def _drive(
         observation = simulator.step(command)
     bag.command(observation.stamp_ns, Twist())
     return trajectory_of(truth), seconds(observation.stamp_ns), stuck
+
+
+def is_recording(teleop: str) -> bool:
+    """Whether a --teleop argument means a bag or a recording's folder."""
+    return Path(teleop).is_dir() or teleop.endswith((*SUFFIXES, *PACKED))
+
+
+def replayed(path: Path) -> tuple[Generator[Twist, Truth, None], str]:
+    """The /cmd_vel of any bag, in order of time, as a driver; and what config.yaml calls it: by its content,
+    wherever it lies. InputError when there is none."""
+    stamps, v, w = read_commands(path)
+    order = np.argsort(stamps, kind="stable")
+    stamps, v, w = stamps[order] - stamps[order[0]], v[order], w[order]
+    content = (stamps.tolist(), v.tolist(), w.tolist())
+    return _driven(stamps, v, w), f"replay:{sha256_text(repr(content))[:16]}"
+
+
+def _driven(stamps: Stamps, v: Array, w: Array) -> Generator[Twist, Truth, None]:
+    """Each command from its stamp on until the next; ends with the last one's."""
+    truth = yield Twist()
+    while truth.stamp_ns < stamps[-1]:
+        now = max(int(np.searchsorted(stamps, truth.stamp_ns, side="right")) - 1, 0)
+        truth = yield Twist(float(v[now]), float(w[now]))
