@@ -94,7 +94,7 @@ def map_cost(log: Path, scratch: Path) -> Row:
 
 
 def _compiled() -> set[Path]:
-    return {file for folder in folders() for file in folder.glob("*.kernel")}
+    return {file for folder in folders() for file in folder.glob("*.nbc")}
 
 
 def growth_cases() -> list[Case]:

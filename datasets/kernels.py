@@ -10,8 +10,6 @@ kernels are compiled again.
 from __future__ import annotations
 
 import os
-import pickle
-import re
 import stat
 import sys
 import tempfile
@@ -26,18 +24,14 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.core.caching import _Cache
+from numba.core.caching import IndexDataCacheFile, _Cache
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
-from numba.core.serialize import dumps
 
-from turtlebag.datasets.cache_files import read_cached, trim_cached, user_cache, write_cached
 from turtlebag.datasets.fingerprints import fingerprint
 
 MADE_BY = [numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag]
-LIMIT_BYTES, LIMIT_FILES = 100_000_000, 2000
-NAME = re.compile(r"[\w.<>]{1,120}-[0-9a-f]{32}\.kernel")
 
 
 def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -76,30 +70,33 @@ class KernelCache(_Cache):
         # all that finished code needs; what a compiler needs takes longer to load than many kernels
         rtsys.initialize(target_context)
         for folder in folders() if self._on else ():
-            kept = read_cached(folder / self._name(sig, target_context.codegen()))
-            if kept is not None:
-                try:
-                    types, result = pickle.loads(kept)
-                except (ImportError, AttributeError):  # the type of an argument stands in another module now
-                    return None
-                return CompileResult._rebuild(target_context, *result) if types == sig else None
+            file, wanted = self._file(folder), (sig, target_context.codegen().magic_tuple())
+            try:
+                kept = file.load(wanted)
+                if kept is not None and kept[0] == (self.key, wanted):
+                    return CompileResult._rebuild(target_context, *kept[1])
+            except Exception:  # damaged, or the type of an argument stands in another module now
+                with suppress(OSError):
+                    file.flush()
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the code, if it may be used by another process; in the first folder that takes it."""
         if not self._on or data.library.has_dynamic_globals or any(not x.can_cache for x in data.lifted):
             return
-        name, written = self._name(sig, data.codegen), dumps((sig, data._reduce()))
         for folder in folders(make=True):
-            if write_cached(folder / name, written):
-                trim_cached(folder, NAME, LIMIT_BYTES, LIMIT_FILES)
+            with suppress(Exception):  # trouble with a folder never ends a run
+                folder.mkdir(parents=True, exist_ok=True)
+                made = sig, data.codegen.magic_tuple()
+                # numba writes index and code apart: of processes that write at once, one's index may name
+                # the other's code, which therefore says itself what it is of
+                self._file(folder).save(made, ((self.key, made), data._reduce()))
                 return
 
-    def _name(self, sig: Any, codegen: Any) -> str:
+    def _file(self, folder: Path) -> IndexDataCacheFile:
+        """Numba's own file of the code for each tuple of types, which counts as empty with another key."""
         kernel = self._kernel.py_func
-        called = f"{kernel.__module__}.{kernel.__qualname__}"[-120:]
-        made_for = fingerprint([self.key, str(sig), [str(part) for part in codegen.magic_tuple()]])
-        return f"{called}-{made_for[:32]}.kernel"
+        return IndexDataCacheFile(str(folder), f"{kernel.__module__}.{kernel.__qualname__}"[-120:], self.key)
 
     def enable(self) -> None:
         """Enable lookup and storage, which is the default."""
@@ -123,8 +120,9 @@ def folders(*, make: bool = False) -> Iterator[Path]:
         yield Path(place)
         return
     yield Path(cache_from_source(__file__)).parent / "kernels"
-    if user := user_cache():
-        yield user / "kernels"
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if os.path.isabs(user):
+        yield Path(user) / "turtlebag/kernels"
     ours = Path(tempfile.gettempdir()) / f"turtlebag-{os.getuid()}"
     with suppress(OSError):
         if make:

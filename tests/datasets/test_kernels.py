@@ -81,9 +81,12 @@ def test_a_kernel_follows_the_sources_it_has_inlined(tree):
     source.write_text(INNER.replace("x - 1.0", "x - 2.0"))
     assert call(tree, NUMBA_DISABLE_JIT="1") == (2.0, 0)
     assert call(tree) == (2.0, 0)
-    # What it was before needs no compiling, nor do other words and another place in the file.
-    source.write_text("# A line more.\n" + INNER.replace("Less than", "Lower than"))
-    assert call(tree) == (4.0, 1)
+    # Other words and another place in the file need no compiling.
+    source.write_text("# A line more.\n" + INNER.replace("Less", "Lower").replace("x - 1.0", "x - 2.0"))
+    assert call(tree) == (2.0, 1)
+    # Of each kernel and tuple of types there is one file, whatever the kernel was before.
+    kept = [file.name for file in sorted((tree / "kernels").glob("*.nbc"))]
+    assert kept == ["turtlebag.inner.lower.1.nbc", "turtlebag.outer.twice.1.nbc"]
 
 
 @pytest.mark.slow
@@ -229,26 +232,29 @@ def test_a_temporary_folder_that_is_not_ours_alone_is_never_read(places, tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", [lambda c: b"", lambda c: c[:-1], lambda c: c[:99] + b"x" + c[100:]])
-def test_damaged_code_is_compiled_again(places, damage):
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", [lambda c: b"", lambda c: c[:-1], lambda c: b"x" + c[1:]])
+def test_damaged_code_is_compiled_again(places, kind, damage):
     assert hits() == 0
-    (file,) = places[0].iterdir()
+    (file,) = places[0].glob(f"*.{kind}")
     whole = file.read_bytes()
     file.write_bytes(damage(whole))
     assert [hits(), hits()] == [0, 1]
 
 
-def test_the_least_recently_used_code_goes_when_it_grows_too_much(places, monkeypatch):
-    monkeypatch.setattr(kernels, "LIMIT_FILES", 3)
-    places[0].mkdir(parents=True)
-    old = [places[0] / f"planners.x-{number:032}.kernel" for number in range(4)]
-    for file in (*old, places[0] / "notes.txt"):
-        file.write_bytes(b"old")
-        os.utime(file, (1, 1))
+@pytest.mark.slow
+def test_an_index_that_names_the_code_of_other_types_is_seen(places):
+    """As when two processes write at once what they compiled for different types."""
     assert hits() == 0
-    assert len(list(places[0].glob("*.kernel"))) == 3
-    assert (places[0] / "notes.txt").exists()
-    assert hits() == 1
+    (file,) = places[0].glob("*.nbc")
+    floats = file.read_bytes()
+    shutil.rmtree(places[0])
+    whole = njit(cache=True)(inner.py_func)
+    assert whole(1) == 3.0
+    file.write_bytes(floats)
+    again = njit(cache=True)(inner.py_func)
+    assert again(1) == 3.0
+    assert not again.stats.cache_hits
 
 
 def hits_of_a_worker(place):
