@@ -44,13 +44,15 @@ class Tree:
     """A copy of the sources and tests that mistakes are made in, with a kernel cache of its own."""
 
     def __init__(self, root: Path, home: Path) -> None:
-        self.path, self._log = home / "tree", home / "pytest.log"
+        self.path, self.kernels, self._log = home / "tree", home / "kernels", home / "pytest.log"
+        self.kernels.mkdir(parents=True, exist_ok=True)
         self._environment = {
-            **os.environ, "NUMBA_CACHE_DIR": str(home / "kernels"), "PYTHONPATH": str(self.path),
+            **os.environ, "NUMBA_CACHE_DIR": str(self.kernels), "PYTHONPATH": str(self.path),
             "PYTHONDONTWRITEBYTECODE": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
         }  # fmt: skip
         self._usual: dict[str, float] = {}
-        shutil.rmtree(self.path, ignore_errors=True)
+        for left in (self.path, self.kernels.with_name("whole")):
+            shutil.rmtree(left, ignore_errors=True)
         listing = ["git", "ls-files", "-co", "--exclude-standard"]
         for name in subprocess.check_output(listing, cwd=root, text=True).splitlines():
             if (root / name).is_file():
@@ -101,11 +103,14 @@ class Tree:
         source, found = path.read_text(), ("survived", "")
         for tests in self.tests_of(mutant.path):
             usual = self._seconds(tests)
+            whole = shutil.copytree(self.kernels, self.kernels.with_name("whole"))
             path.write_text(mutant.applied(source))
             try:
                 found = self.run(tests, GRACE_S + COMPILE_S * mutant.kernel + 4.0 * usual)
             finally:
                 path.write_text(source)
+                shutil.rmtree(self.kernels)  # the mutant's took the place of the others
+                whole.rename(self.kernels)
             if found[0] in CAUGHT:
                 break
         about = {"kind": mutant.kind, "kernel": mutant.kernel, "seconds": round(time.monotonic() - begun, 1)}

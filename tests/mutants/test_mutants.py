@@ -114,6 +114,21 @@ def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch)
     assert (tree.path / "planners/a.py").read_text() == source
 
 
+@pytest.mark.slow
+def test_kernels_compiled_of_a_mutant_do_not_take_the_place_of_the_whole_ones(tree):
+    """Or the next run would have to compile again within its time."""
+    keeping = (
+        "import os\nfrom pathlib import Path\n\n\ndef test_keeping():\n    source = Path('planners/a.py')\n"
+        "    place = Path(os.environ['NUMBA_CACHE_DIR'])\n    place.mkdir(exist_ok=True)\n"
+        "    (place / 'a.nbc').write_text(source.read_text())\n"
+    )
+    (tree.path / "tests/planners/test_a.py").write_text(f"import turtlebag.planners.a\n{keeping}")
+    source = (tree.path / "planners/a.py").read_text()
+    mutant = mutants_by_line(source, "planners/a.py")[0][0]
+    assert tree.judge(mutant)["verdict"] == "survived"
+    assert (tree.kernels / "a.nbc").read_text() == source
+
+
 def test_the_score_leaves_out_what_changes_nothing():
     def row(key, verdict):
         return {
