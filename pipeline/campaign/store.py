@@ -68,7 +68,9 @@ class Store:
     def put(self, name: str, content: bytes) -> None:
         """Write an object, in the place of the one that may be there."""
         if self.is_local:
-            self._grown(content).replace(self._made(name))
+            growing = self._made(f"{UNFINISHED}/{secrets.token_hex(8)}")
+            growing.write_bytes(content)
+            growing.replace(self._made(name))
         else:
             self.files.pipe_file(self.at(name), content)
 
@@ -112,10 +114,4 @@ class Store:
     def _made(self, name: str) -> Path:
         path = Path(self.at(name))
         path.parent.mkdir(parents=True, exist_ok=True)
-        return path
-
-    def _grown(self, content: bytes) -> Path:
-        """A file of the content, beside the objects, under a name of its own."""
-        path = self._made(f"{UNFINISHED}/{secrets.token_hex(8)}")
-        path.write_bytes(content)
         return path
