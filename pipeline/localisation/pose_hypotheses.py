@@ -54,20 +54,18 @@ class Aliasing:
         """
         here = [T_map_odom @ scan.T_odom_base for scan in scans]
         found = [SE2.identity()]
+        fits = [self._polished(found[0], scans, here)[0]]
         for scan, T_map_base in zip(scans, here, strict=True):
             for pose in self._places(scan.beams, [known @ T_map_base for known in found]):
-                T_map_map = SE2.from_array(pose) @ T_map_base.inverse()
-                if all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
+                fit, T_map_map = self._polished(SE2.from_array(pose) @ T_map_base.inverse(), scans, here)
+                # What was drawn beside a peak explains less, and must not stand for the place.
+                alike = fit > max(fits) - ALIKE
+                if alike and all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
                     found.append(T_map_map)
-        fits = [self._polished(T_map_map, scans, here) for T_map_map in found]
-        best = max(fit for fit, _ in fits)
-        if best < LEAST_FIT:
+                    fits.append(fit)
+        if max(fits) < LEAST_FIT:
             return found[:1]
-        kept: list[SE2] = []
-        for k, (fit, T_map_map) in enumerate(fits):
-            if fit > best - ALIKE and all(apart(T_map_map @ here[-1], other @ here[-1]) for other in kept):
-                kept.append(T_map_map if k > 0 else found[0])
-        return kept
+        return [T_map_map for T_map_map, fit in zip(found, fits, strict=True) if fit > max(fits) - ALIKE]
 
     def fits(self, hypotheses: Sequence[SE2], scan: Keyframe, T_map_odom: SE2) -> Array:
         """Agreement of a scan with the map under each of the hypotheses (n,), at the best pose near by."""

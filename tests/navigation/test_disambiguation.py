@@ -134,6 +134,22 @@ def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
     assert fits[0] > fits[1] + 2.0 * ALIKE
 
 
+def test_poses_drawn_beside_the_true_place_do_not_stand_for_it(monkeypatch):
+    """Seen from the first scan the search ends beside the true place, where no small step explains more."""
+    scans = scans_at(room(), turning_at(9.5, 3.0), np.random.default_rng(2))
+    beside = scans[0].T_odom_base @ SE2.from_xyt(0.3, 0.0, 0.7)
+    drawn = iter([beside, *(scan.T_odom_base for scan in scans[1:])])
+
+    def draw(search, count, beams, rng, around=None, without=None):
+        poses = np.tile(next(drawn).xyt, (count, 1))
+        return poses[~without(poses)]
+
+    monkeypatch.setattr(GlobalSearch, "draw", draw)
+    (moved,) = aliasing_of(room().grid()).find(scans, TWIN)
+    there = moved @ TWIN @ scans[-1].T_odom_base
+    assert not apart(scans[-1].T_odom_base, there, 0.05)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("x", "y"), [(2.0, 2.0), (0.7, 0.8), (4.3, 2.2), (2.6, 0.5)])
 def test_a_world_without_a_twin_has_one_hypothesis(x, y):
