@@ -2,7 +2,7 @@
 
 Revisit consistency: two key scans at the same place must see the same walls. If one saw through
 what the other saw as a wall, the map is doubled or folded there. Map entropy: the uncertainty of the cells.
-Lost scans: poses constrained by neither walls nor odometry.
+Lost scans: poses constrained by neither walls nor odometry. Impossible motions: jumps, and slides sideways.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.clouds import GAP_S
+from turtlebag.pipeline.slam.clouds import FASTER, GAP_S
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, NEAR_M, free_space_violations
 from turtlebag.pipeline.slam.map_uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.occupancy import Certainty
@@ -23,8 +24,8 @@ from turtlebag.pipeline.slam.odometry_trust import jumps, unobserved_way
 from turtlebag.pipeline.slam.point_to_line_icp import LEAST_OVERLAP
 from turtlebag.pipeline.slam.selfcheck_base import Verdict
 from turtlebag.pipeline.slam.sessions import Session
-from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
-from turtlebag.pipeline.slam.turn_comparison import usual_period
+from turtlebag.pipeline.slam.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
+from turtlebag.pipeline.slam.turn_comparison import odometry_stream, usual_period
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
@@ -90,7 +91,7 @@ def check_map(
     empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
-    reasons += _jumps(recording, track, T_map_base, borders)
+    reasons += _impossible(recording, track, T_map_base, borders)
     unobserved = unobserved_way(recording, track, noise, borders)
     constraints = session.graph.constraints
     asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved))
@@ -124,13 +125,57 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * against > visits)
 
 
-def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
-    """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
-    for over in (1, max(1, round(GAP_S / usual_period(recording)))):
+def _impossible(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
+    """Whether the robot moved farther than it can, from scan to scan or over a longer time, or sideways."""
+    reasons, longer = [], max(1, round(GAP_S / usual_period(recording)))
+    for over in (1, longer):
         jumped = jumps(recording, track, T_map_base, borders, over)
         if len(jumped):
-            return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"]
-    return []
+            reasons.append(
+                f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"
+            )
+            break
+    slid = slides(recording, T_map_base, borders, longer)
+    if len(slid):
+        reasons.append(
+            f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
+        )
+    return reasons
+
+
+def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64], over: int) -> NDArray[np.int64]:
+    """Scans (k,) up to which the poses (n,) slid sideways over `over` steps, farther than the robot's wheels
+    ever go by the odometry; none without odometry.
+
+    How the robot drove between scans that are far apart only odometry that came meanwhile tells.
+    """
+    if recording.T_odom_base is None:
+        return np.zeros(0, dtype=np.int64)
+    stream, stamps_ns = odometry_stream(recording), recording.stamps_ns
+    slid = np.where(_together(stream.stamps_ns), _sideways(stream.poses), 0.0)
+    slid = np.interp(stamps_ns, stream.stamps_ns, np.append(0.0, np.cumsum(slid)))
+    by_odometry = np.abs(np.diff(slid))
+    aside = _sideways(T_map_base)
+    aside = np.where(_together(stamps_ns), aside, np.clip(aside, -by_odometry, by_odometry))
+    aside[borders - 1] = 0.0
+    usual = np.quantile(by_odometry, 1.0 - MOST_WRONG) if len(by_odometry) else 0.0
+    total = np.append(0.0, np.cumsum(aside))
+    far = np.abs(total[over:] - total[:-over]) > AGREE_M + FASTER * over * usual
+    return over + np.flatnonzero(far)
+
+
+def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of these stamps (n,) are followed by the next without a gap, (n - 1,)."""
+    waits = seconds(np.diff(stamps_ns))
+    return np.asarray((waits > 0.0) & (waits < GAP_S))
+
+
+def _sideways(T_map_base: SE2) -> Array:
+    """How far each step of poses (n,) leads to the left of every way along which wheels can roll while they
+    turn so far to one side, (n - 1,) [m]."""
+    x, y, turn = T_map_base.steps().T
+    left = np.cos(0.5 * turn) * y - np.sin(0.5 * turn) * x
+    return np.sign(left) * np.maximum(np.abs(left) - np.hypot(x, y) * np.abs(np.sin(0.5 * turn)), 0.0)
 
 
 def hypothesis_shares(track: Track) -> dict[str, float]:

@@ -86,7 +86,7 @@ def in_step(recording: Recording, timing: Timing) -> Recording:
 
 
 def _shifted(recording: Recording, late_s: float) -> Recording:
-    stream, late_ns = _stream(recording), nanoseconds(late_s)
+    stream, late_ns = odometry_stream(recording), nanoseconds(late_s)
     shifted = Trajectory(stream.stamps_ns - late_ns, stream.poses)
     said = f"{abs(late_s):.2f} s {'behind' if late_s > 0.0 else 'ahead of'} the scans"
     return replace(
@@ -108,7 +108,7 @@ def compared_turns(recording: Recording) -> Timing:
     """The comparison of the turns of scans and odometry; empty without odometry."""
     if recording.T_odom_base is None or len(recording) < 2:
         return Timing()
-    stream = _stream(recording)
+    stream = odometry_stream(recording)
     usual = usual_period(recording)
     thin = slice(None, None, max(1, round(PERIOD_S / usual)))
     scans = replace(
@@ -177,7 +177,8 @@ def _gain(turns: _Turns, other: _Turns) -> Array:
     return turns.least(sigma) - other.least(sigma)
 
 
-def _stream(recording: Recording) -> Trajectory:
+def odometry_stream(recording: Recording) -> Trajectory:
+    """The odometry at its own rate, or else that of the scans."""
     if recording.odometry is not None:
         return recording.odometry
     assert recording.T_odom_base is not None
@@ -262,7 +263,7 @@ def _turns(
 ) -> _Turns:
     """The turns by scans and by odometry in one of `every` stretches, the sweeps of the lidar deskewed as if
     the odometry were this late."""
-    spans, stream = [turned(lidar, late_s, start) for start in starts[::every]], _stream(scans)
+    spans, stream = [turned(lidar, late_s, start) for start in starts[::every]], odometry_stream(scans)
     times, yaw = seconds(stream.stamps_ns - scans.stamps_ns[0]), np.unwrap(stream.poses.yaw)
     begin, end, by_scans = np.concatenate([np.zeros((0, 3)), *spans]).T
     later = DELAYS_S[:, None]

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.known_logs import integrate
 from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Recording
+from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.slam import selfcheck
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import distrusted
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
-from turtlebag.pipeline.slam.selfcheck import check_map
+from turtlebag.pipeline.slam.selfcheck import check_map, slides
 from turtlebag.pipeline.slam.sessions import Graph, Session
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.track import OdometryNoise, Track, TrackingConfig
@@ -122,7 +122,7 @@ def slipping(T, scans, times):
 def test_a_robot_that_jumps_is_told_unless_its_odometry_does(drive, shift, jumps):
     T = drive[2].T_track_base
     moved = T.xyt.copy()
-    moved[30:] += [shift, 0.0, 0.0]
+    moved[30:] -= [0.0, shift, 0.0]  # ahead: it drives along -y
     found = reasons(drive, T_track_base=SE2(moved))
     assert len(found) == jumps
     assert all(reason.endswith("(first: to scan 30)") for reason in found)
@@ -148,6 +148,40 @@ def test_a_robot_that_is_too_fast_for_two_seconds_is_told_though_no_step_is_a_ju
     assert any("jumps farther than the robot can drive" in reason for reason in found) is told
     found = reasons(long_drive, T_track_base=fast, T_odom_base=fast)
     assert not any("jumps" in reason for reason in found)
+
+
+def sliding(T, scans, left):
+    """Poses (n,) moved so far to the left in each step to some scans, and on from there."""
+    steps = T.steps()
+    steps[np.array(scans) - 1, 1] += left
+    return SE2.from_array(integrate(T.xyt[0], steps))
+
+
+@pytest.mark.parametrize(("left", "told"), [(0.02, False), (-0.1, True)])
+def test_a_path_that_slides_sideways_is_told_unless_the_robot_can(long_drive, left, told):
+    """Scans that saw one wall and people slid along it, while the wheels counted backwards: a map was off by
+    1 m, and called good."""
+    log, _, track = long_drive
+    T = track.T_track_base
+    slid = sliding(T, range(200, 210), left)
+    found = reasons(long_drive, T_track_base=slid)
+    assert any("slides sideways as wheels cannot (first: at scan 20" in reason for reason in found) is told
+    strafing = replace(log, T_odom_base=sliding(log.T_odom_base, range(1, 500, 5), left))
+    assert not len(slides(strafing, slid, NONE, 20))
+    assert not len(slides(replace(strafing, T_odom_base=None), slid, NONE, 20))
+
+
+@pytest.mark.parametrize(("jumped", "mapped", "told"), [(1.0, 1.0, [30]), (0.0, 1.0, []), (1.0, 0.0, [])])
+def test_a_path_slides_while_no_scan_comes_only_if_odometry_that_came_does(long_drive, jumped, mapped, told):
+    """Odometry that jumped aside in four seconds without a scan was believed: 1.5 m off, and called good."""
+    log, straight = long_drive[0], SE2(np.linspace([0.0, 0.0, 0.0], [50.0, 0.0, 0.0], 500))
+    keep = np.r_[0:30, 50:500]
+    odometry = Trajectory(log.stamps_ns, sliding(straight, [40], jumped))
+    gap = replace(log, stamps_ns=log.stamps_ns[keep], T_odom_base=odometry.poses[keep], odometry=odometry)
+    poses = sliding(straight, [40], mapped)[keep]
+    assert slides(gap, poses, NONE, 10).tolist()[:1] == told
+    assert slides(gap, poses, np.array([30]), 10).tolist() == []
+    assert slides(replace(gap, odometry=None), poses, NONE, 10).tolist() == []
 
 
 def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
