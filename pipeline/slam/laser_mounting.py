@@ -19,7 +19,7 @@ from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.turn_comparison import PERIOD_S, SCANS, STRETCHES, tracked_alone, usual_period
 
 # A stretch is usable if the robot drove at least this far [m], and scans and odometry agree on the distance
-# to within GROSS; a quarter of the stretches must be usable.
+# to within GROSS; a third of the stretches must be usable.
 LEAST_WAY_M = 0.1
 # The stretches agree if their mean direction is at least this long: 0.94 to 1 in 34 logs with enough of them.
 AGREEING = 0.9
@@ -51,7 +51,7 @@ def turned_by_deg(recording: Recording) -> float:
     ways = np.array([_ways(recording, stretch, noise) for stretch in _stretches(recording)]).reshape(-1, 2)
     by_scans, by_odometry = ways[np.abs(ways[:, 1]) >= LEAST_WAY_M].T
     usable = np.abs(np.abs(by_scans) - np.abs(by_odometry)) <= GROSS * np.abs(by_odometry)
-    if np.count_nonzero(usable) < STRETCHES // 4:
+    if np.count_nonzero(usable) < STRETCHES // 3:
         return 0.0
     turns = by_odometry[usable] / by_scans[usable]
     mean = np.mean(turns / np.abs(turns))

@@ -19,7 +19,7 @@ from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajectory
-from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, known_motion, make_clouds
+from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, fastest, known_motion, make_clouds, way_and_turn
 from turtlebag.pipeline.slam.gyro_slip import turns_with
 from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
@@ -33,7 +33,7 @@ DELAYS_S = np.arange(-120, 121, 2) / 100.0
 # PERIOD_S at most: CARMEN pairs scans with odometry up to 0.15 s off, and no map suffers.
 LEAST_S = 0.05
 # Number of stretches, scans of each, and their least distance [s].
-STRETCHES, SCANS, PERIOD_S = 32, 8, 0.2
+STRETCHES, SCANS, PERIOD_S = 24, 8, 0.2
 # Turns are compared over this many scans: odometry that comes only with scans is smooth in between.
 SPAN = 3
 # The log-likelihood ratio of all stretches together that establishes a delay or an upside-down lidar, which
@@ -132,7 +132,7 @@ def compared_turns(recording: Recording) -> Timing:
         settled = lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
         late_s = found
         if settled:
-            other, others = _other_sweep(compared, lidar, late_s, turns, others), []
+            other, others = _other_sweep(compared, lidar, late_s, others), []
             if other is None:
                 break
             sweep, lidar = other, replace(lidar, time_increment=other)
@@ -152,20 +152,16 @@ def _sweeps(recording: Recording, usual_s: float) -> list[float]:
 
 
 def _other_sweep(
-    compared: Callable[..., _Turns],
-    lidar: LidarSpec,
-    late_s: float,
-    turns: _Turns,
-    others: Sequence[float],
+    compared: Callable[..., _Turns], lidar: LidarSpec, late_s: float, others: Sequence[float]
 ) -> float | None:
     """The alternative time between beams [s] with which scans and odometry clearly agree better; None if
     there is none."""
     best, gained = None, 0.0
     for time_increment in others:
         other = replace(lidar, time_increment=time_increment)
-        if _gain(turns.some(FIRST), compared(other, late_s, FIRST)).sum() < -LIKELIER / FIRST:
+        if _gain(compared(lidar, late_s, FIRST), compared(other, late_s, FIRST)).sum() < -LIKELIER / FIRST:
             continue
-        gain = _gain(turns, compared(other, late_s))
+        gain = _gain(compared(lidar, late_s), compared(other, late_s))
         if _surely(gain) and gain.sum() > gained:
             best, gained = time_increment, float(gain.sum())
     return best
@@ -192,11 +188,6 @@ class _Turns(NamedTuple):
 
     off: Array
     stretch: NDArray[np.int64]
-
-    def some(self, every: int) -> _Turns:
-        """The turns of one in `every` stretches, from the first."""
-        chosen = self.stretch % every == 0
-        return _Turns(self.off[:, :, chosen], self.stretch[chosen])
 
     @property
     def sigma(self) -> float:
@@ -240,15 +231,17 @@ def _surely(gain: Array) -> bool:
 
 
 def _starts(scans: Recording) -> list[int]:
-    """First scans of the stretches in which the turning changes most."""
+    """First scans of the stretches in which the turning changes most, and the odometry does not jump."""
     assert scans.T_odom_base is not None
-    waits = seconds(np.diff(scans.stamps_ns))
+    waits, moved = seconds(np.diff(scans.stamps_ns)), way_and_turn(scans.T_odom_base.steps())
     known = (waits > 0.0) & (waits < GAP_S)
-    rate = np.where(known, wrap(np.diff(scans.T_odom_base.yaw)) / np.where(known, waits, 1.0), 0.0)
     starts = np.arange(0, len(scans) - SCANS, SCANS)
-    if not len(starts):
+    if not len(starts) or not known.any():
         return []
+    jumped = known & (moved > fastest(moved[known], waits[known]) * waits[:, None]).any(axis=1)
+    rate = np.where(known, wrap(np.diff(scans.T_odom_base.yaw)) / np.where(known, waits, 1.0), 0.0)
     change = np.add.reduceat(np.minimum(np.abs(np.diff(rate, append=rate[-1:])), 1.0), starts)
+    change, starts = (of[~np.logical_or.reduceat(jumped, starts)] for of in (change, starts))
     chosen: list[int] = starts[np.sort(np.argsort(-change, kind="stable")[:STRETCHES])].tolist()
     return chosen
 
@@ -268,7 +261,7 @@ def _turns(
     begin, end, by_scans = np.concatenate([np.zeros((0, 3)), *spans]).T
     later = DELAYS_S[:, None]
     reported = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
-    stretch = np.repeat(every * np.arange(len(spans)), [*map(len, spans)])
+    stretch = np.repeat(np.arange(len(spans)), [*map(len, spans)])
     return _Turns(np.stack([by_scans - reported, by_scans + reported]), stretch)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.known_logs import integrate
 from tests.helpers.made_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
 from tests.helpers.made_logs import arena, office_plan
 from turtlebag.datasets.bags.scans import turned_over
@@ -66,13 +67,6 @@ def test_odometry_is_late_or_turned_over_by_the_delay_at_which_all_turns_agree(s
     assert _delay(_Turns(off, np.repeat(np.arange(8), 4))) == pytest.approx(told)
 
 
-def test_one_in_three_stretches_are_the_first_the_fourth_and_so_on():
-    off = np.arange(2.0 * len(DELAYS_S) * 6).reshape(2, len(DELAYS_S), 6)
-    some = _Turns(off, np.array([0, 1, 2, 3, 3, 5])).some(3)
-    assert some.stretch.tolist() == [0, 3, 3]
-    np.testing.assert_array_equal(some.off, off[:, :, [0, 3, 4]])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
 def test_a_delay_is_found_and_undone(turning, seconds):
@@ -117,6 +111,15 @@ def test_odometry_that_lies_is_not_called_late(kind):
 def test_a_robot_that_never_turns_shows_no_delay():
     log = drive(replace(lds(), range_max=8.0), route=np.array([(10.0, 7.0), (26.0, 7.0)]))
     assert compared_turns(late(log.recording, 0.5)) == IN_STEP
+
+
+def test_odometry_that_jumps_by_as_much_as_it_turns_is_its_own():
+    """Jumps change the turning most, so they were compared first: like the odometry of another drive."""
+    log = drive(replace(lds(), range_max=8.0), route=LONG[:3])
+    steps = log.recording.T_odom_base.steps()
+    steps[12::40] += [1.0, 1.0, 1.5]
+    jumpy = SE2.from_array(integrate(log.recording.T_odom_base.xyt[0], steps))
+    assert compared_turns(replace(log.recording, T_odom_base=jumpy, odometry=None)) == IN_STEP
 
 
 def test_the_odometry_of_another_drive_is_known_by_its_turns():
