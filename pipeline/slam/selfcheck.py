@@ -91,7 +91,12 @@ def check_map(
     empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
-    reasons += _impossible(recording, track, T_map_base, borders)
+    reasons += _jumps(recording, track, T_map_base, borders)
+    slid = slides(recording, T_map_base, borders)
+    if len(slid):
+        reasons.append(
+            f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
+        )
     unobserved = unobserved_way(recording, track, noise, borders)
     constraints = session.graph.constraints
     asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved))
@@ -125,27 +130,23 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * against > visits)
 
 
-def _impossible(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
-    """Whether the robot moved farther than it can, from scan to scan or over a longer time, or sideways."""
-    reasons, longer = [], max(1, round(GAP_S / usual_period(recording)))
-    for over in (1, longer):
+def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
+    """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
+    for over in (1, _longer(recording)):
         jumped = jumps(recording, track, T_map_base, borders, over)
         if len(jumped):
-            reasons.append(
-                f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"
-            )
-            break
-    slid = slides(recording, T_map_base, borders, longer)
-    if len(slid):
-        reasons.append(
-            f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
-        )
-    return reasons
+            return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"]
+    return []
 
 
-def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64], over: int) -> NDArray[np.int64]:
-    """Scans (k,) up to which the poses (n,) slid sideways over `over` steps, farther than the robot's wheels
-    ever go by the odometry; none without odometry.
+def _longer(recording: Recording) -> int:
+    """The usual number of steps in GAP_S."""
+    return max(1, round(GAP_S / usual_period(recording)))
+
+
+def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Scans (k,) up to which the poses (n,) slid sideways, over as many steps as GAP_S usually has, farther
+    than the robot's wheels ever go by the odometry; none without odometry.
 
     How the robot drove between scans that are far apart only odometry that came meanwhile tells.
     """
@@ -159,7 +160,7 @@ def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64], ov
     aside = np.where(_together(stamps_ns), aside, np.clip(aside, -by_odometry, by_odometry))
     aside[borders - 1] = 0.0
     usual = np.quantile(by_odometry, 1.0 - MOST_WRONG) if len(by_odometry) else 0.0
-    total = np.append(0.0, np.cumsum(aside))
+    total, over = np.append(0.0, np.cumsum(aside)), _longer(recording)
     far = np.abs(total[over:] - total[:-over]) > AGREE_M + FASTER * over * usual
     return over + np.flatnonzero(far)
 

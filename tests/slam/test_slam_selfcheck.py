@@ -167,8 +167,8 @@ def test_a_path_that_slides_sideways_is_told_unless_the_robot_can(long_drive, le
     found = reasons(long_drive, T_track_base=slid)
     assert any("slides sideways as wheels cannot (first: at scan 20" in reason for reason in found) is told
     strafing = replace(log, T_odom_base=sliding(log.T_odom_base, range(1, 500, 5), left))
-    assert not len(slides(strafing, slid, NONE, 20))
-    assert not len(slides(replace(strafing, T_odom_base=None), slid, NONE, 20))
+    assert not len(slides(strafing, slid, NONE))
+    assert not len(slides(replace(strafing, T_odom_base=None), slid, NONE))
 
 
 @pytest.mark.parametrize(("jumped", "mapped", "told"), [(1.0, 1.0, [30]), (0.0, 1.0, []), (1.0, 0.0, [])])
@@ -179,9 +179,9 @@ def test_a_path_slides_while_no_scan_comes_only_if_odometry_that_came_does(long_
     odometry = Trajectory(log.stamps_ns, sliding(straight, [40], jumped))
     gap = replace(log, stamps_ns=log.stamps_ns[keep], T_odom_base=odometry.poses[keep], odometry=odometry)
     poses = sliding(straight, [40], mapped)[keep]
-    assert slides(gap, poses, NONE, 10).tolist()[:1] == told
-    assert slides(gap, poses, np.array([30]), 10).tolist() == []
-    assert slides(replace(gap, odometry=None), poses, NONE, 10).tolist() == []
+    assert slides(gap, poses, NONE).tolist()[:1] == told
+    assert slides(gap, poses, np.array([30])).tolist() == []
+    assert slides(replace(gap, odometry=None), poses, NONE).tolist() == []
 
 
 def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
