@@ -59,12 +59,10 @@ class Aliasing:
             for pose in self._places(scan.beams, [known @ T_map_base for known in found]):
                 fit, T_map_map = self._polished(SE2.from_array(pose) @ T_map_base.inverse(), scans, here)
                 # What was drawn beside a peak explains less, and must not stand for the place.
-                alike = fit > max(fits) - ALIKE
-                if alike and all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
+                explains = fit > max(LEAST_FIT, max(fits) - ALIKE)
+                if explains and all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
                     found.append(T_map_map)
                     fits.append(fit)
-        if max(fits) < LEAST_FIT:
-            return found[:1]
         return [T_map_map for T_map_map, fit in zip(found, fits, strict=True) if fit > max(fits) - ALIKE]
 
     def fits(self, hypotheses: Sequence[SE2], scan: Keyframe, T_map_odom: SE2) -> Array:
