@@ -30,7 +30,8 @@ class OnlineLocaliser:
         """The odometry frame on the map; None while it is unknown."""
         self.updates = 0
         """Scans that the filter used: those between which the robot moved."""
-        self._keyframes: deque[Keyframe] = deque(maxlen=self.KEYFRAMES)
+        self.keyframes: deque[Keyframe] = deque(maxlen=self.KEYFRAMES)
+        """The last scans that the filter used, newest last."""
         self._seen: tuple[Scan, SE2, SE2] | None = None
         self._shown_ns = -self.PARTICLES_EVERY_NS
         self.scan_poses: list[tuple[int, SE2]] = []
@@ -47,11 +48,6 @@ class OnlineLocaliser:
             self.T_map_odom = self.amcl.T_map_odom
 
     @property
-    def keyframes(self) -> list[Keyframe]:
-        """Some of the last scans that the filter used, newest last."""
-        return list(self._keyframes)[::-2][::-1]
-
-    @property
     def contradicted(self) -> bool:
         """Whether the newest scan contradicts the estimate."""
         return self._seen is not None and self.amcl.contradicted(*self._seen)
@@ -59,8 +55,8 @@ class OnlineLocaliser:
     def move(self, T_map_map: SE2, covariance: Array) -> None:
         """Move the estimate by this motion of the map, with this covariance (3, 3): the robot is
         elsewhere."""
-        if self._keyframes and self.T_map_odom is not None:
-            T_odom_base = self._keyframes[-1].T_odom_base
+        if self.keyframes and self.T_map_odom is not None:
+            T_odom_base = self.keyframes[-1].T_odom_base
             self.amcl.initialise(T_map_map @ self.T_map_odom @ T_odom_base, covariance, T_odom_base)
             self.T_map_odom = self.amcl.T_map_odom
 
@@ -81,7 +77,7 @@ class OnlineLocaliser:
         if updated:
             self.updates += 1
             if self.amcl.beams is not None:
-                self._keyframes.append(Keyframe(self.amcl.beams, T_odom_base))
+                self.keyframes.append(Keyframe(self.amcl.beams, T_odom_base))
             self._publisher.amcl_pose(scan.stamp_ns, T_map_base, self.amcl.covariance)
             if now - self._shown_ns >= self.PARTICLES_EVERY_NS:
                 self._shown_ns = now
