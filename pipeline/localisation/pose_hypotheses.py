@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.pipeline.localisation.deskewed_beams import Beams
-from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
+from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, main_cluster
 from turtlebag.pipeline.localisation.global_search import (
     LEAST_EFFECTIVE,
     STAGE_PARTICLES,
@@ -76,15 +76,13 @@ class Aliasing:
         Places that are `known` are not drawn: the likeliest would leave few poses to the others.
         """
         poses = self._search.draw(STAGE_PARTICLES, beams, self._rng, without=lambda p: at_one_of(known, p))
-        places = []
-        while len(poses) > LEAST_EFFECTIVE * STAGE_PARTICLES:
-            weights = np.full(len(poses), 1.0 / len(poses))
-            seed = moments(poses, weights, poses[0], REACH_XY, REACH_YAW)[1]
-            _, centre, _ = settled(poses, weights, seed)
+        places, fewest = [], LEAST_EFFECTIVE * STAGE_PARTICLES
+        while len(poses) > fewest:
+            centre = main_cluster(poses, np.full(len(poses), 1.0 / len(poses))).T_map_base.xyt
             near = within(poses, centre)
-            if near.sum() > LEAST_EFFECTIVE * STAGE_PARTICLES:
-                places.append(centre)
-            near[0] = True
+            if near.sum() <= fewest:
+                break
+            places.append(centre)
             poses = poses[~near]
         return places
 
