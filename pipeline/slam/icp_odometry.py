@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
-from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
+from turtlebag.pipeline.slam.clouds import ANY_ROBOT, GAP_S, MIN_LINES
 from turtlebag.pipeline.slam.correlative import TURN_RAD, best_pose
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.front_end import Placed
@@ -46,8 +46,9 @@ DOUBTED_SCANS, SURELY_THERE = 12, 0.92
 # A scan fits if its cost exceeds the usual cost by no more than this; the usual cost starts at this value and
 # follows that of each scan with this weight.
 FITS, USUAL_COST, FOLLOWS = 0.25, 0.3, 0.02
-# Where the track may be lost, the scan is searched within this window [m, rad].
-LOST = 1.0
+# Where the track may be lost, the scan is searched within this window [m, rad]; if this share of it fits, no
+# farther than any robot drives meanwhile, because beyond it fits only places that look alike.
+LOST, HALF = 1.0, 0.5
 # Weight of the odometry's normalised innovation squared (NIS, under a Cauchy kernel) against the misfit of
 # points, as if it were this many of all points.
 NIS_WEIGHT = 0.01
@@ -86,7 +87,7 @@ class Lines:
             at = SE2(by_points.T_track_base)
             found = Alignment(at, by_points.information, fit, by_points.rmse, 1.0 - fit)
         else:
-            found, source = self._on_surfaces(scan, odometry_step)
+            found, source = self._on_surfaces(scan, odometry_step, abs(wait_s))
         matched, (found, sure, settled) = found, self._judge(scan, found, wait_s)
         pose, source = found.T_map_base.xyt, source if found is matched else 0
         if self.doubt is not None:
@@ -96,7 +97,7 @@ class Lines:
         revised = tuple((k, compose(pose, tracker.odometry_since(scan, k))) for k in settled)
         return Placed(pose, found.information, found.overlap, found.rmse, source, sure, revised, found.known)
 
-    def _on_surfaces(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
+    def _on_surfaces(self, scan: int, odometry_step: Array | None, wait_s: float) -> tuple[Alignment, int]:
         """The starts: the odometry, if there is any and it is trusted, and constant velocity."""
         tracker = self.tracker
         starts, share = [(1, compose(tracker.pose, tracker.velocity))], STEADY_SHARE
@@ -105,7 +106,7 @@ class Lines:
             starts.append((0, compose(tracker.pose, odometry_step)))
             if self.wheels.trusted:
                 starts, share = starts[::-1], 1.0
-        return self._by_lines(scan, starts, share * tracker.config.odometry.information(expected))
+        return self._by_lines(scan, starts, share * tracker.config.odometry.information(expected), wait_s)
 
     def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[Alignment, bool, range]:
         """Begin a doubt at a gap, and end it when odometry and scans agree on the motion since.
@@ -135,7 +136,7 @@ class Lines:
         return found, self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
 
     def _by_lines(
-        self, scan: int, starts: list[tuple[int, Array]], information: Array
+        self, scan: int, starts: list[tuple[int, Array]], information: Array, wait_s: float
     ) -> tuple[Alignment, int]:
         """The scan aligned with the last key scans; the first start if it fits none."""
         guess = starts[0][1]
@@ -152,7 +153,9 @@ class Lines:
             if still is not None and still[0].agreement >= SURELY_THERE and _beats(still, best):
                 best = still
         if best is None or best[2] > self._usual_cost + FITS:
-            wide = self._recover(scan, [pose for _, pose in starts])
+            there = best is not None and best[0].overlap >= HALF
+            window = [min(LOST, speed * wait_s) if there else LOST for speed in ANY_ROBOT]
+            wide = self._recover(scan, [pose for _, pose in starts], *window)
             again = self._best(scan, [(3, wide)], guess, information)
             best = again if _beats(again, best, by=SURELY_BETTER) else best
         if best is None:
@@ -191,10 +194,11 @@ class Lines:
                 best = (result, source, cost)
         return best
 
-    def _recover(self, scan: int, centers: list[Array]) -> Array:
+    def _recover(self, scan: int, centers: list[Array], window_m: float, window_rad: float) -> Array:
         """Exhaustive search in a wide window around each centre, because the track may be lost."""
         points = self.tracker.clouds.of(scan)[::4]
-        found = [best_pose(self.tracker.field, points, center, LOST, LOST, TURN_RAD) for center in centers]
+        field = self.tracker.field
+        found = [best_pose(field, points, center, window_m, window_rad, TURN_RAD) for center in centers]
         return max(found, key=lambda pair: pair[1])[0]
 
 

@@ -17,10 +17,13 @@ from tests.helpers.slam_rooms import recording, rectangle
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.joint_refinement import refine
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.selfcheck import contradicted_keys
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam, step_constraints
+from turtlebag.pipeline.slam.track import TrackingConfig
+from turtlebag.pipeline.slam.tracker import track_log
 
 WHEELS = Wheels(0.02, -0.03, 0.003)
 ROUTE = [
@@ -129,6 +132,24 @@ def test_wheels_that_spin_before_an_obstacle_do_not_carry_the_robot_through_it()
     poses, told = (np.column_stack([way, 0.0 * x, 0.0 * x]) for way in (x, 0.6 * np.arange(28)))
     result = run_slam(recording(walls, poses, odometry=told), SlamConfig())
     np.testing.assert_allclose(result.trajectory.poses.xyt, poses, atol=0.02)
+
+
+@pytest.mark.parametrize("room_m", [0.2, 0.25])
+def test_who_stops_beside_the_robot_does_not_move_it_to_a_place_that_looks_alike(room_m):
+    """A corridor of like bays, a cupboard in one of them; in the bay before it somebody stops as near by."""
+
+    def bays(*cupboards: float) -> np.ndarray:
+        posts = [rectangle(x - 0.1, y, x + 0.1, y + 0.3) for x in np.arange(-3.5, 12.0) for y in (-1.0, 0.7)]
+        walls = np.array([[-4.0, -1.0, 12.0, -1.0], [-4.0, 1.0, 12.0, 1.0]])
+        return np.vstack([walls, *posts, *(rectangle(x - 0.45, room_m, x + 0.45, 0.9) for x in cupboards)])
+
+    driven = np.zeros((131, 3))
+    driven[:, 0] = np.concatenate([np.linspace(1.5, 5.5, 81), np.linspace(5.45, 3.0, 50)])
+    poses = np.vstack([driven, np.tile(driven[-1], (3, 1))])
+    alone, beside = (recording(bays(*places), poses, odometry=poses) for places in ((4.0,), (4.0, 3.0)))
+    log = replace(alone, ranges=np.vstack([alone.ranges[:131], beside.ranges[131:]]))
+    track = track_log(log, make_clouds(log, 8.0), TrackingConfig(), 8.0, range(1, len(log)), Lines)
+    assert np.abs(track.T_track_base.xyt - poses).max() < 0.03
 
 
 def test_few_contradicted_scans_of_many_are_noticed():
