@@ -133,7 +133,7 @@ def parse_polygons(data: Any, where: str) -> tuple[Array, ...]:
     for index, corners in enumerate(data, start=1):
         try:
             polygon = np.array(corners, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             polygon = np.zeros(0)
         if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
             raise InputError(f"{where}: keepout {index}: expected three or more corners [x, y]")

@@ -261,6 +261,14 @@ def test_areas_to_keep_out_of_have_three_finite_corners():
     corners = [[0, 0], [1, 0], [1, 1]]
     (polygon,) = parse_polygons([corners], "file")
     assert polygon.tolist() == corners
-    for bad in (corners[:2], [[0, 0], [1, 0], [1]], [[0, 0, 0]] * 3, [*corners, [0, math.nan]], "home", 1):
+    for bad in (
+        corners[:2],
+        [[0, 0], [1, 0], [1]],
+        [[0, 0, 0]] * 3,
+        [*corners, [0, math.nan]],
+        [*corners, [0, 10**400]],
+        "home",
+        1,
+    ):
         with pytest.raises(InputError, match="file: keepout 2: expected three or more corners"):
             parse_polygons([corners, bad], "file")
