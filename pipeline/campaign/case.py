@@ -19,7 +19,7 @@ from typing import Any
 from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
-from turtlebag.pipeline.campaign.cases import Case
+from turtlebag.pipeline.campaign.cases import Case, with_places
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.stages.run_again import Run
 from turtlebag.pipeline.terminal.messages import verbosity_kept
@@ -83,7 +83,7 @@ def recipes(case: Case, maker: str) -> dict[str, str]:
     """For each stage a hash of all that makes its output: the same hash is the same output."""
     known = {BAG: f"{case.factors.get(BAG)} {case.bag_version}"}
     for stage, words in case.commands.items():
-        text = json.dumps([maker, [word.format(**known) for word in words]])
+        text = json.dumps([maker, with_places(words, known)])
         known[stage] = hashlib.sha256(text.encode()).hexdigest()[:32]
     return {stage: known[stage] for stage in case.commands}
 
@@ -179,7 +179,7 @@ class _Work:
         out = self._places[stage]
         words = self._case.commands[stage]
         bag = {BAG: self._bag} if any(f"{{{BAG}}}" in word for word in words) else {}
-        words = [word.format(**self._places, **bag) for word in words]
+        words = with_places(words, {**self._places, **bag})
         told, said = io.StringIO(), io.StringIO()
         code = None
         try:

@@ -7,7 +7,7 @@ import itertools
 import json
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.campaign.bags import find_bags
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign, Levels, Scalar, Uniform, levels_of
 
+PLACE = re.compile(r"\{([^{}]*)\}")
 LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
 
 
@@ -43,6 +44,11 @@ def cases(campaign: Campaign) -> list[Case]:
     factors = {**bags, **campaign.factors}
     combinations = _grid(factors) if campaign.sample is None else _drawn(campaign, factors)
     return [_case(campaign, chosen, versions.get(str(chosen.get(BAG)), "")) for chosen in combinations]
+
+
+def with_places(words: Sequence[str], places: Mapping[str, object]) -> list[str]:
+    """A command's words with what is known by now of `{bag}` and the stages' names in braces; others stay."""
+    return [PLACE.sub(lambda found: str(places.get(found[1], found[0])), word) for word in words]
 
 
 def _require_used(campaign: Campaign) -> None:
@@ -136,7 +142,9 @@ def _words(text: str, stage: str) -> list[str]:
 def _filled(line: str, values: dict[str, Any], where: str) -> str:
     try:
         return line.format(**values)
-    except (KeyError, IndexError) as error:
-        raise InputError(f"{where}: {{{error}}} is neither a factor nor an earlier stage") from None
-    except ValueError as error:
+    except KeyError as error:
+        raise InputError(f"{where}: {{{error.args[0]}}} is neither a factor nor an earlier stage") from None
+    except IndexError:
+        raise InputError(f"{where}: a brace without a name; name a factor, or write {{{{ and }}}}") from None
+    except (AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{where}: {error}") from None

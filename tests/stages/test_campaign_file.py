@@ -5,7 +5,8 @@ import pytest
 from tests.helpers.campaigns import CAMPAIGN
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, load_campaign
-from turtlebag.pipeline.campaign.cases import cases
+from turtlebag.pipeline.campaign.case import recipes
+from turtlebag.pipeline.campaign.cases import cases, with_places
 
 
 def load(tmp_path, text=CAMPAIGN):
@@ -30,6 +31,15 @@ def test_levels_can_be_scaled_and_can_name_each_other(tmp_path):
     assert strange.commands["make"][-3:] == ["--a=0.75", "--b=0.1", "--c=-1.5"]
     with pytest.raises(InputError, match="not of the form"):
         cases(load(tmp_path, text.replace("0.1*x", "x*x")))
+
+
+def test_braces_that_name_no_stage_stay_as_they_are(tmp_path):
+    text = CAMPAIGN.replace("\"--odd 'two words'\"", "\"--a={{b: {size}}} '{{'\"")
+    found = [case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange"]
+    assert found[0].commands["make"][-3:] == ["--a={b:", "1}", "{"]
+    assert recipes(found[0], "")["make"] != recipes(found[4], "")["make"]
+    words = ["--a={b}", "{", "{make}/metrics.json", "{later}"]
+    assert with_places(words, {"make": tmp_path}) == ["--a={b}", "{", f"{tmp_path}/metrics.json", "{later}"]
 
 
 def test_levels_can_stand_for_texts(tmp_path):
@@ -67,7 +77,9 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
     [
         ("compare: size", "compare: shape", "not a factor"),
         ('"make:error.rmse"', '"cook:error"', "expected STAGE:PATH"),
-        ("{size} --seed", "{height} --seed", "neither a factor nor an earlier stage"),
+        ("{size} --seed", "{height} --seed", "{height} is neither a factor nor an earlier stage"),
+        ("{size} --seed", "{size.wide} --seed", "stages.make: .* no attribute 'wide'"),
+        ("{size} --seed", "{size} {} --seed", "stages.make: a brace without a name"),
         ("y: good", "y: bad", "not a result"),
         ("question:", "questoin:", "unknown key"),
         ("compare: size", "shared: [cook]", "cook is not a stage"),
