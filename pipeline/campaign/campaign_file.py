@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
 
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import checked, find_named, read_mapping
@@ -35,6 +44,15 @@ class Uniform(Settings):
 
 
 Levels = list[Scalar] | Range | Uniform | dict[str, str]
+
+
+def _of_one_kind(data: Any, validated: ValidatorFunctionWrapHandler) -> Any:
+    try:
+        return validated(data)
+    except ValidationError:  # it speaks of each kind in turn
+        raise ValueError(
+            "expected a list of values, {first, last} of whole numbers, {low, high}, or texts by name"
+        ) from None
 
 
 def _known(unit: str) -> str:
@@ -88,7 +106,7 @@ class Campaign(Settings):
     question: str = ""
     seed: int = 1
     bags: list[str] = Field([])
-    factors: dict[str, Levels] = Field({})
+    factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
     sample: Annotated[int, Field(ge=1)] | None = None
     stages: dict[str, str]
     shared: list[str] = Field([])
@@ -160,6 +178,9 @@ class Campaign(Settings):
                 raise ValueError(f"factors.{name}: low {levels.low:g} is above high {levels.high:g}")
             if not isinstance(levels, Uniform) and not levels_of(levels):
                 raise ValueError(f"factors.{name}: has no levels")
+            given = Counter(map(str, levels)) if isinstance(levels, list) else {}
+            if twice := [text for text, count in given.items() if count > 1]:
+                raise ValueError(f"factors.{name}: level {twice[0]} is given twice")
         compared = self.factors.get(self.compare or "")  # which bags there are is not known yet
         if compared is None or self.against is None or isinstance(compared, Uniform):
             return
