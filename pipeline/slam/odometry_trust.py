@@ -225,10 +225,11 @@ def _implausible(recording: Recording, track: Track, unobserved: NDArray[np.bool
     """
     implausible, steps = np.zeros(len(unobserved), dtype=bool), track.T_track_base.steps()
     seen = ~unobserved[1:] & track.usable[1:] & track.usable[:-1]
-    if not seen.any():
-        return implausible
     waits = seconds(np.diff(recording.stamps_ns))
-    waits = np.maximum(waits, np.median(np.abs(waits)))
+    usual = np.median(np.abs(waits)) if seen.any() else 0.0
+    if usual == 0.0:  # no step was seen, or most scans have the stamp of the one before: no speed is known
+        return implausible
+    waits = np.maximum(waits, usual)
     # over several steps: odometry that was delayed for a moment is fast in the next step
     moved = scipy.ndimage.uniform_filter1d([way_and_turn(steps)[:, 0], steps[:, 0], waits], RECENT, axis=1)
     speed, ahead = moved[:2] / moved[2]

@@ -1,5 +1,7 @@
 """Which is trusted: odometry that the scans contradict, and scans that observe little."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,11 +82,12 @@ def test_distrusted_wheels_count_for_nothing_where_scans_observe_little_either()
     assert not unobserved_way(log, track, OdometryNoise(), border).any()
 
 
-def unobserved_way_along(step):
+def unobserved_way_along(step, stamps_ns=None):
     """Metres of each step (n,) [m] that nobody saw, where the scans after the thirtieth do not see ahead."""
     n = np.arange(len(step))
     poses = np.column_stack([np.cumsum(step), 0.0 * n, 0.0 * n])
     log = recording(ROOM, poses, odometry=poses)
+    log = log if stamps_ns is None else replace(log, stamps_ns=stamps_ns)
     seen = np.where((n > 30)[:, None, None], BLIND, SEES)
     source, none = np.zeros(len(n), np.int8), np.zeros(len(n))
     track = Track(
@@ -112,6 +115,11 @@ def test_wheels_that_turn_round_at_once_in_the_dark_are_not_believed_there():
     assert not way[:31].any()
     assert unobserved_way_along(np.where((n > 40) & (n <= 50), 0.3, 0.1) * (n > 0))[31:].all()
     assert not unobserved_way_along(np.where((n > 40) & (n <= 50), 0.0, 0.1) * (n > 0)).any()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_without_time_knows_no_speed():
+    assert not unobserved_way_along(np.full(60, 0.1), np.zeros(60, np.int64)).any()
 
 
 @pytest.mark.filterwarnings("error")
