@@ -5,9 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from turtlebag.reports.numbers import DASH
-from turtlebag.reports.stages import Group, Stage
+from turtlebag.reports.stages import Group, Input, Stage
 
 TAKE_A_PATH = (
     *("--out", "--config", "--truth", "--relations", "--also", "--continue", "--edits", "--map"),
@@ -33,9 +34,24 @@ class Step:
 def recipe(groups: Sequence[Group]) -> list[Step]:
     """Every stage's command with output folders renamed to `world/stage`, so that it runs anywhere."""
     stages = [(f"{group.name}/{stage.label}", stage) for group in groups for stage in group.stages]
-    names = {out.rstrip("/"): label for label, stage in stages if (out := stage.option("out"))}
-    names |= {str(stage.folder).rstrip("/"): label for label, stage in stages}
+    names: dict[str, str] = {}
+    for _, reader in stages:
+        for entry in reader.manifest.inputs.values():
+            names |= {str(made): label for label, stage in stages if (made := _folder_of(entry, stage))}
+    names |= {out.rstrip("/"): label for label, stage in stages if (out := stage.option("out"))}
     return [_step(label, stage, names) for label, stage in stages]
+
+
+def _folder_of(entry: Input, stage: Stage) -> Path | None:
+    """Where the stage's folder lay, as its reader wrote it, if what was read is of that stage by its hashes:
+    so a recipe does not depend on from where, or how, the stages are named."""
+    read = entry.path.parent if entry.path.name in entry.sha256 else entry.path  # of a file its folder
+    for folder in (read, *read.parents):
+        inside = read.relative_to(folder)
+        held = {(inside / name).as_posix(): digest for name, digest in entry.sha256.items()}
+        if held and held.items() <= stage.manifest.outputs.items():
+            return folder
+    return None
 
 
 def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:

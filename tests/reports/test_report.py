@@ -22,7 +22,7 @@ from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.metric_specs import SECTIONS
 from turtlebag.reports.numbers import sections_of, shown
 from turtlebag.reports.provenance import FLAGS, TAKE_A_PATH, recipe, rename
-from turtlebag.reports.stages import Group, Manifest, Stage, changed_files, load_stage
+from turtlebag.reports.stages import Group, Input, Manifest, Stage, changed_files, load_stage
 
 
 @pytest.fixture(scope="module")
@@ -246,6 +246,28 @@ def test_an_output_folder_may_be_called_as_any_other_word_of_the_commands_is(nam
     assert command_of(stages[1], "A") == (
         "turtlebag map --explain rec --truth=rec/truth --out=A --set front_end=lines"
     )
+
+
+@pytest.mark.parametrize(
+    ("read", "files"),
+    [
+        ("../rec", {"bag/bag_0.mcap": "1a", "bag/metadata.yaml": "2b"}),
+        ("../rec/bag", {"bag_0.mcap": "1a", "metadata.yaml": "2b"}),
+        ("../rec/bag/bag_0.mcap", {"bag_0.mcap": "1a"}),
+    ],
+)
+@pytest.mark.parametrize("folder", ["../rec", "report/../../rec", "/far/rec"])
+def test_a_recipe_does_not_depend_on_how_a_stage_is_named_or_from_where(read, files, folder):
+    record = Manifest(
+        stage="record",
+        command=["turtlebag", "record", "--out", "data/rec"],
+        outputs={"bag/bag_0.mcap": "1a", "bag/metadata.yaml": "2b"},
+    )
+    source = Input(path=Path(read), sha256=files)
+    made = Manifest(stage="map", command=["turtlebag", "map", read, "--out", "m"], inputs={"source": source})
+    stages = Stage(Path(folder), "record", "record", record), Stage(Path("m"), "map", "map", made)
+    steps = recipe([Group("w", stages)])
+    assert steps[1].command == f"turtlebag map {read.replace('../rec', 'w/record')} --out w/map"
 
 
 def test_every_option_that_takes_a_path_is_known_to_the_recipe():
