@@ -149,8 +149,11 @@ class _Person:
             return (yield from hands.wait(truth, round(step.wait * CONTROL_HZ)))
         if step.repeat is not None:
             for _ in range(step.repeat):
+                begun = truth
                 for inner in step.steps:
                     truth = yield from self._act(inner, truth)
+                if truth is begun:  # no time passes, however often they are done
+                    break
             return truth
         if step.wall_follow is not None:
             return (yield from self._follow_wall(truth, step.wall_follow))

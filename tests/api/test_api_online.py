@@ -118,6 +118,7 @@ BAD = {
     ),
     "two axes": (lambda s: (changed(s, ranges=s.ranges[None]), (0, 0, 0)), r"has shape \(1, 360\)"),
     "words": (lambda s: (changed(s, ranges=["x"] * 360), (0, 0, 0)), "expected an array of metres"),
+    "endless": (lambda s: (changed(s, ranges=[10**400] * 360), (0, 0, 0)), "expected an array of metres"),
     "no time": (
         lambda s: (changed(s, stamp_ns=np.nan), (0, 0, 0)),
         "stamp_ns: expected whole nanoseconds, not nan",

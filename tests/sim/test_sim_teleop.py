@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.routes import EXACT_SIDE_M, ROUTES, RoutePlanner, random_goals, route
 from turtlebag.sim.script_driver import Stuck
-from turtlebag.sim.simulator import SimConfig, Simulator
+from turtlebag.sim.simulator import SimConfig, Simulator, Truth
 from turtlebag.sim.teleop_scripts import Script, commands, load_script, script_names
 from turtlebag.sim.worlds import load_world
 
@@ -55,6 +57,14 @@ def test_a_step_without_one_action_is_refused_with_the_actions_there_are(tmp_pat
     (tmp_path / "idle.yaml").write_text("name: idle\nsteps:\n  - {wait: 1, spin: 1}\n")
     with pytest.raises(InputError, match=r"one action \(drive, turn_deg, spin, wait, "):
         load_script(str(tmp_path / "idle.yaml"))
+
+
+def test_steps_that_take_no_time_are_over_however_often_they_are_repeated():
+    for_ever = {"repeat": 10**9, "steps": [{"wait": 0.0}, {"repeat": 10**9, "steps": [{"through": []}]}]}
+    driver = commands(script(for_ever), load_world("empty"), BURGER, 1)
+    next(driver)
+    with pytest.raises(StopIteration):
+        driver.send(Truth(0, SE2.identity(), Twist(), False, False))
 
 
 @pytest.mark.slow

@@ -168,7 +168,7 @@ def scan(scan: Scan, last: Scan | None) -> Scan:
     stamp = _stamp(scan.stamp_ns, "scan.stamp_ns")
     try:
         ranges = np.asarray(scan.ranges, dtype=np.float32)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("scan.ranges: expected an array of metres") from None
     if ranges.shape != (scan.lidar.n_beams,):
         raise InputError(
