@@ -47,7 +47,8 @@ DOUBTED_SCANS, SURELY_THERE = 12, 0.92
 # follows that of each scan with this weight.
 FITS, USUAL_COST, FOLLOWS = 0.25, 0.3, 0.02
 # Where the track may be lost, the scan is searched within this window [m, rad]; if this share of it fits, no
-# farther than any robot drives meanwhile, because beyond it fits only places that look alike.
+# farther than any robot drives meanwhile, because beyond it fits only places that look alike. At the right
+# place of an unseen maze 0.71 fitted, after robots were carried by 0.9 m 0.35 to 0.52.
 LOST, HALF = 1.0, 0.5
 # Weight of the odometry's normalised innovation squared (NIS, under a Cauchy kernel) against the misfit of
 # points, as if it were this many of all points.

@@ -132,14 +132,14 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
 
 def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
     """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
-    for over in (1, _longer(recording)):
+    for over in (1, _steps_in_gap(recording)):
         jumped = jumps(recording, track, T_map_base, borders, over)
         if len(jumped):
             return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"]
     return []
 
 
-def _longer(recording: Recording) -> int:
+def _steps_in_gap(recording: Recording) -> int:
     """The usual number of steps in GAP_S."""
     return max(1, round(GAP_S / usual_period(recording)))
 
@@ -160,7 +160,7 @@ def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) ->
     aside = np.where(_together(stamps_ns), aside, np.clip(aside, -by_odometry, by_odometry))
     aside[borders - 1] = 0.0
     usual = np.quantile(by_odometry, 1.0 - MOST_WRONG) if len(by_odometry) else 0.0
-    total, over = np.append(0.0, np.cumsum(aside)), _longer(recording)
+    total, over = np.append(0.0, np.cumsum(aside)), _steps_in_gap(recording)
     far = np.abs(total[over:] - total[:-over]) > AGREE_M + FASTER * over * usual
     return over + np.flatnonzero(far)
 
