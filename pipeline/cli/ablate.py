@@ -7,7 +7,7 @@ from pathlib import Path
 
 from turtlebag.pipeline.campaign.parts import PARTS
 from turtlebag.pipeline.cli.arguments import output
-from turtlebag.pipeline.cli.parser import Parser
+from turtlebag.pipeline.stages.parser import Parser
 
 EXAMPLE = "turtlebag ablate data/records/world --replace odometry --out data/ablation"
 

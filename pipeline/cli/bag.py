@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import output, positive
-from turtlebag.pipeline.cli.parser import Parser, add_action
+from turtlebag.pipeline.cli.arguments import output
+from turtlebag.pipeline.stages.parser import Parser, add_action
+from turtlebag.pipeline.stages.requests.options import positive
 from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
 
 if TYPE_CHECKING:

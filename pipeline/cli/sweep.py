@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import count, output, refuse
-from turtlebag.pipeline.cli.parser import Parser
+from turtlebag.pipeline.cli.arguments import output, refuse
+from turtlebag.pipeline.stages.parser import Parser
+from turtlebag.pipeline.stages.requests.options import count
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 

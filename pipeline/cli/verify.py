@@ -8,7 +8,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.parser import Parser
+from turtlebag.pipeline.stages.parser import Parser
 
 EXAMPLE = "turtlebag verify data/report"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,8 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
 from turtlebag.pipeline.slam.laser_mounting import facing
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
-from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.requests.options import chosen_settings
+from turtlebag.pipeline.stages.settings import Chosen, load_config
 from turtlebag.pipeline.stages.sources import Source
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
@@ -211,14 +211,15 @@ def sweep_ends(recording: Recording) -> SE2 | None:
     return odometry.at(recording.stamps_ns + round(lidar.n_beams * lidar.time_increment * 1e9))
 
 
-def load_localise_config(path: Path | None, settings: Sequence[str]) -> LocaliseConfig:
+def load_localise_config(path: Path | None, settings: Chosen) -> LocaliseConfig:
     """Ours, or the amcl part of a Nav2 parameter file (what it ignores is logged)."""
     if path is None or not is_nav2(data := read_mapping(path)):
         return load_config(LocaliseConfig, path, settings)
     known, ignored = read_nav2(data, where=str(path))
     if ignored:
         log.info("%s: ignored %s", path, ", ".join(ignored))
-    return load_config(LocaliseConfig, None, [*(f"amcl.{k}={v}" for k, v in known.items()), *settings])
+    told = {f"amcl.{name}": value for name, value in known.items()}
+    return load_config(LocaliseConfig, None, told | chosen_settings(settings))
 
 
 def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:

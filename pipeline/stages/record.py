@@ -20,6 +20,8 @@ from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Stamps, Trajectory, Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
+from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, RecordRequest
+from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
@@ -106,6 +108,13 @@ class Scene:
             start=start,
             sim=self.sim,
         )
+
+
+def scene_of(request: RecordRequest | KeyboardRequest) -> Scene:
+    """What a request for a recording is about; InputError for unknown names."""
+    options = load_config(RecordOptions, request.config, request.settings)
+    start = None if request.start is None else SE2.from_xyt(*request.start)
+    return Scene.load(request.world, request.robot, request.seed, options.sim, start)
 
 
 def record_drive(

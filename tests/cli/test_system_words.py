@@ -27,7 +27,7 @@ def tree(tmp_path_factory):
         (["a=map"], "map: is a folder; give the file of the trajectory in it"),
         (["a=5.tum", "--system-times", "map"], "map: is a folder; give the file of the times in it"),
         (["a="], "a=: names no file; write NAME=FILE"),
-        (["=5.tum"], "'': a system's name may contain only letters, digits, - and _"),
+        (["=5.tum"], "=5.tum: names no system; write NAME=FILE"),
         (["truth=5.tum"], "truth: this name is taken"),
         (["truth.tum"], "truth: this name is taken"),
         (["TurtleBag.tum"], "TurtleBag: this name is taken"),

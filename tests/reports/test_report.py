@@ -12,7 +12,6 @@ import pytest
 from tests.helpers.report_fakes import fake_record, unrendered
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, sha256_tree
-from turtlebag.pipeline.cli.arguments import map_file
 from turtlebag.pipeline.cli.main import build_parser, main
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.reports.compare import command_of
@@ -274,7 +273,7 @@ def test_every_option_that_takes_a_path_is_known_to_the_recipe():
     for verb in ("record", "teleop", "studio", "map", "localise", "navigate", "plan"):
         verbs = next(a for a in build_parser(verb)._actions if a.dest == "verb")
         actions = verbs.choices[verb]._actions
-        paths = {a.option_strings[-1] for a in actions if a.option_strings and a.type in (Path, map_file)}
+        paths = {a.option_strings[-1] for a in actions if a.option_strings and a.type is Path}
         assert paths <= set(TAKE_A_PATH), verb
         if any(not a.option_strings for a in actions):
             flags = {word for a in actions if a.nargs == 0 for word in a.option_strings}

@@ -1,16 +1,16 @@
-"""The parser of a command: its options, those that several commands share, and errors of one line."""
+"""Parsers of the command line whose errors are one line."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, NoReturn
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import map_file, seed
 
 RENAMED = {
     "blame": "ablate",
@@ -18,16 +18,6 @@ RENAMED = {
     **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
 }
 """Present names of verbs and options by their former ones, for the error that a former one is."""
-
-
-class OrOwn(tuple[str, ...]):
-    """Choices of an option that also accepts a user's class, module:Class."""
-
-    def __contains__(self, name: object) -> bool:
-        """Whether it is one of the choices, or could be such a class."""
-        from turtlebag.datasets.parts import is_own  # NumPy, which --help does without
-
-        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
 
 
 class Parser(argparse.ArgumentParser):
@@ -90,28 +80,6 @@ class Parser(argparse.ArgumentParser):
         text = "override one setting; may be repeated"
         self.option("--set", "KEY=VALUE", text, dest="settings", action="append", default=[])
 
-    def add_world(self, seed_value: int) -> None:
-        """What is simulated: --world, --robot, --seed and --start."""
-        text = "world: a name, a YAML or SDF file, or your own class (module:Class)"
-        self.option("--world", "W", text, required=True)
-        self.option("--robot", "R", "robot: a name or a YAML file (default: the world's own)")
-        self.add_seed(seed_value)
-        self.option("--start", "X,Y,YAW", "true start pose (default: the world's spawn)")
-
-    def add_seed(self, value: int) -> None:
-        """--seed."""
-        self.option("--seed", "N", f"random seed (default: {value})", seed, default=value)
-
-    def add_map(self, purpose: str, *, required: bool = True) -> None:
-        """--map."""
-        text = f"map to {purpose} on: its YAML file, or a folder that map wrote"
-        self.option("--map", "MAP", text, map_file, required=required)
-
-    def add_laser(self, source: str) -> None:
-        """--laser, which overrides the laser's pose in the argument `source`."""
-        text = f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}"
-        self.option("--laser", "X,Y,YAW[,upside-down]", text)
-
 
 def add_action(actions: Any, name: str, text: str, example: str) -> Parser:
     """A verb, or an action of one; its help ends with an example of one line, for copying."""
@@ -123,3 +91,14 @@ def add_action(actions: Any, name: str, text: str, example: str) -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     return parser
+
+
+def joined(argv: Sequence[str]) -> list[str]:
+    """`--goal -2,0,0` as `--goal=-2,0,0`, because argparse would take the value for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1].startswith("--") and re.match(r"-(\d|\.|inf|nan)[^,]*,", word):
+            words[-1] += "=" + word
+        else:
+            words.append(word)
+    return words
