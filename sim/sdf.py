@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, decimals
 from turtlebag.datasets.se2 import Array
 from turtlebag.sim.meshes import load_mesh
 from turtlebag.sim.shapes import Solid, ball, cylinder, mesh, prism
@@ -58,7 +59,7 @@ def pose_matrix(text: str | None) -> Array:
     matrix = np.eye(4)
     if text is None or not text.strip():
         return matrix
-    values = [float(value) for value in text.split()]
+    values = decimals(text.split())
     if len(values) != 6 or not all(math.isfinite(value) for value in values):
         raise ValueError(f"pose '{' '.join(text.split())}' is not six finite numbers")
     (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:]), np.sin(values[3:])
@@ -170,7 +171,7 @@ class _Reader:
             rim = np.stack([radius * np.cos(angles), radius * np.sin(angles), up], axis=-1)
             return mesh(name, _hull(np.vstack([rim, rim * [1, 1, -1]])) @ rotation.T + position)
         if shape.tag == "box":
-            size = np.array([float(value) for value in (shape.findtext("size") or "").split()])
+            size = np.array(decimals((shape.findtext("size") or "").split()))
             if size.shape != (3,) or not np.all(np.isfinite(size) & (size > 0.0)):
                 raise ValueError("its size is not three positive numbers")
             if not upright:
@@ -183,13 +184,13 @@ class _Reader:
             file = self._find(uri)
             if file is None or not file.is_file():
                 raise ValueError(f"{uri} not found; set GAZEBO_MODEL_PATH to the folder of its model")
-            scale = np.array([float(value) for value in (shape.findtext("scale") or "1 1 1").split()])
+            scale = np.array(decimals((shape.findtext("scale") or "1 1 1").split()))
             return mesh(name, (load_mesh(file) * scale) @ rotation.T + position)
         raise ValueError("unknown shape")
 
 
 def _number(shape: ET.Element, key: str) -> float:
-    value = float(shape.findtext(key) or "nan")
+    value = decimal(shape.findtext(key) or "nan")
     if not (math.isfinite(value) and value > 0.0):
         raise ValueError(f"its {key} is not a positive number")
     return value
