@@ -145,7 +145,10 @@ def _from_sdf(path: Path, settings: str) -> World:
         raise InputError(f"{path}: an SDF world has no option '{key}' (it has: spawn)")
     name, solids = load_sdf(path)
     if not solids:
-        raise InputError(f"{path}: contains no static boxes, cylinders, spheres or meshes")
+        raise InputError(
+            f"{path}: contains no static boxes, cylinders, spheres or meshes; "
+            "for a world without obstacles use --world empty"
+        )
     bounds = _mappable(bounds_of(tuple(solids), 2.0), str(path))
     try:
         spawn = SE2.from_xyt(*decimals(value.split("/"))) if value else None
