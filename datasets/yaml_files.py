@@ -14,8 +14,9 @@ from pydantic_core import ErrorDetails
 from turtlebag.datasets.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
+
 # libyaml's, where it is there: the same in a fraction of the time.
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SAFE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 DEEPEST = 100
 """Collections within collections; libyaml would go on until the stack is full, and the process gone."""
@@ -25,6 +26,19 @@ KINDS = {
     "missing": "is missing",
 }
 """Messages for values of the wrong type, without names of Python classes."""
+
+
+class _Loader(_SAFE):  # type: ignore[misc]
+    """YAML 1.1, but for its numbers to the base of 60: `1:30` is a text, as in YAML 1.2, not 90."""
+
+    def resolve(self, kind: type, value: str | None, implicit: object) -> str:
+        """The tag of a value."""
+        tag: str = super().resolve(kind, value, implicit)
+        number = tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+        return "tag:yaml.org,2002:str" if number and value is not None and ":" in value else tag
+
+
+LOADER: Any = _Loader
 
 
 def read_yaml(path: Path, *, where: str) -> Any:
