@@ -43,17 +43,30 @@ LOADER: Any = _Loader
 
 def read_yaml(path: Path, *, where: str) -> Any:
     """A YAML file as plain values; an InputError starts with `where`."""
+    return parsed(_text(path, where), where=where)
+
+
+def read_documents(path: Path, *, where: str) -> list[Any]:
+    """The documents of a YAML file, without empty ones: `ros2 topic echo` parts its messages by `---`."""
+    found: list[Any] = []
+    lines_above = 0
+    for part in re.split(r"(?m)^---[ \t]*$", _text(path, where)):
+        found.append(parsed("\n" * lines_above + part, where=where))
+        lines_above += part.count("\n")
+    return [document for document in found if document is not None]
+
+
+def _text(path: Path, where: str) -> str:
     if path.is_dir():
         raise InputError(f"{where}: is a folder; give a file")
     if not path.is_file():
         raise InputError(f"{where}: no such file")
     try:
-        text = path.read_text()
+        return path.read_text()
     except OSError as error:
         raise InputError(f"{where}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{where}: not a text file") from None
-    return parsed(text, where=where)
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
