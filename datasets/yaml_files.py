@@ -14,8 +14,9 @@ from pydantic_core import ErrorDetails
 from turtlebag.datasets.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
+
 # libyaml's, where it is there: the same in a fraction of the time.
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SAFE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 DEEPEST = 100
 """Collections within collections; libyaml would go on until the stack is full, and the process gone."""
@@ -27,19 +28,45 @@ KINDS = {
 """Messages for values of the wrong type, without names of Python classes."""
 
 
+class _Loader(_SAFE):  # type: ignore[misc]
+    """YAML 1.1, but for its numbers to the base of 60: `1:30` is a text, as in YAML 1.2, not 90."""
+
+    def resolve(self, kind: type, value: str | None, implicit: object) -> str:
+        """The tag of a value."""
+        tag: str = super().resolve(kind, value, implicit)
+        number = tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+        return "tag:yaml.org,2002:str" if number and value is not None and ":" in value else tag
+
+
+LOADER: Any = _Loader
+
+
 def read_yaml(path: Path, *, where: str) -> Any:
     """A YAML file as plain values; an InputError starts with `where`."""
+    return parsed(_text(path, where), where=where)
+
+
+def read_documents(path: Path, *, where: str) -> list[Any]:
+    """The documents of a YAML file, without empty ones: `ros2 topic echo` parts its messages by `---`."""
+    found: list[Any] = []
+    lines_above = 0
+    for part in re.split(r"(?m)^---[ \t]*$", _text(path, where)):
+        found.append(parsed("\n" * lines_above + part, where=where))
+        lines_above += part.count("\n")
+    return [document for document in found if document is not None]
+
+
+def _text(path: Path, where: str) -> str:
     if path.is_dir():
         raise InputError(f"{where}: is a folder; give a file")
     if not path.is_file():
         raise InputError(f"{where}: no such file")
     try:
-        text = path.read_text()
+        return path.read_text()
     except OSError as error:
         raise InputError(f"{where}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{where}: not a text file") from None
-    return parsed(text, where=where)
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
