@@ -132,7 +132,8 @@ def checked(model: type[Model], data: Any, *, where: str) -> Model:
 
 def plain_message(error: ErrorDetails) -> str:
     """What is wrong with a value, without Python's words."""
-    said = error["msg"].removeprefix("Value error, ").partition(", unable to ")[0]
+    said = error["msg"].removeprefix("Value error, ").replace(" after validation", "")
+    said = said.partition(", unable to ")[0]
     return KINDS.get(error["type"], re.sub(r"^\w+ should ", "must ", said))
 
 
