@@ -156,7 +156,7 @@ def _open_folder(path: Path) -> Bag:
         except OSError as error:
             # Nothing is wrong with the bag: who may not read it is told so, once, before any work.
             raise InputError(f"{folder / METADATA_FILE}: cannot be read ({error.strerror})") from None
-        except (KeyError, TypeError, ValueError, AttributeError, RecursionError, yaml.YAMLError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
             notes.append(f"{METADATA_FILE} cannot be used ({one_line(error)}); reading the files beside it")
     for suffix, kind in SUFFIXES.items():
         files = sorted(folder.glob("*" + suffix), key=lambda file: (len(file.name), file.name))
