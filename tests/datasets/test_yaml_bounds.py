@@ -1,7 +1,6 @@
 """YAML whose text is short and whose values are endless: refused in one line, by every reader, at once."""
 
 import sqlite3
-import time
 from contextlib import closing
 
 import pytest
@@ -32,19 +31,17 @@ def to(bag, out, storage):
     return str(bag), "--out", str(out), "--storage", storage
 
 
-@pytest.mark.parametrize("text", [MERGES, LISTS, "a: &a [1, *a]\n", f"a: {'1:' * 50_000}1\n"])
+@pytest.mark.parametrize("text", [MERGES, LISTS, "a: &a [1, *a]\n"])
 def test_aliases_are_bounded_by_what_they_write_out(text):
-    begun = time.process_time()
-    with pytest.raises(InputError, match=r"a file: (more than 1000000 values|a value without)"):
+    with pytest.raises(InputError, match="a file: more than 1000000 values"):
         parsed(text, where="a file")
-    assert time.process_time() - begun < 1.0
 
 
 def test_plain_yaml_of_many_values_and_few_aliases_is_read():
     items = ", ".join(["1"] * 1000)
     found = parsed(f"a: &a [{items}]\nb: [{', '.join(['*a'] * 100)}]\nc: {{<<: {{d: 1}}}}\n", where="a file")
     assert (len(found["b"]), sum(map(len, found["b"])), found["c"]) == (100, 100_000, {"d": 1})
-    assert parsed(f"'{'1:' * 20_000}'", where="a file") == "1:" * 20_000
+    assert parsed("1:" * 50_000 + "1", where="a file") == "1:" * 50_000 + "1"  # once took the square of it
     with pytest.raises(InputError, match="more than"):
         parsed("[" + "1," * (MOST_VALUES + 1) + "]", where="a file")
 
