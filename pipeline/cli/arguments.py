@@ -73,13 +73,25 @@ def seed(text: str) -> int:
 
 def positive(text: str) -> float:
     """A finite number of more than 0."""
-    try:
-        value = decimal(text)
-    except ValueError:
-        value = math.nan
+    value = _number(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
     return value
+
+
+def seconds(text: str) -> float:
+    """A finite number, 0 or more."""
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a number of seconds, 0 or more, not {text}")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return decimal(text)
+    except ValueError:
+        return math.nan
 
 
 def count(text: str) -> int:
