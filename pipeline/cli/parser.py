@@ -18,7 +18,9 @@ RENAMED = {
     **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
 }
 """Present names of verbs and options by their former ones, for the error that a former one is."""
-REMOVED: dict[str, str] = {}
+REMOVED: dict[str, str] = {
+    "teleop --view": "turtlebag studio shows the scan and the map while you drive",
+}
 """What to use in place of verbs and options that are gone; an option as `verb --option`."""
 
 
