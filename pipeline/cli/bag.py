@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.cli.arguments import output, positive, refuse, seconds
 from turtlebag.pipeline.cli.parser import Parser, add_action
-from turtlebag.pipeline.terminal.messages import bare, log, log_notes, print_table, say
+from turtlebag.pipeline.terminal.messages import log, log_notes, print_table, say
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
@@ -43,7 +42,7 @@ def add_arguments(parser: Parser) -> None:
     sub = action(
         "play",
         _play,
-        "play a recording in the terminal: clock, speeds, scan and path",
+        "play a recording as lines of text: clock, pose, speeds, nearest reading",
         "turtlebag bag play data/record --rate 4",
     )
     text = "playback speed (default: 1, the speed of the recording)"
@@ -71,10 +70,6 @@ def add_arguments(parser: Parser) -> None:
     sub.option("--from", "S", text, seconds)
     text = "copy up to this time, in seconds from the bag's beginning (default: its end)"
     sub.option("--to", "S", text, seconds)
-
-
-STATUS_ROWS = 3
-"""The text below a player's drawing takes two lines of a narrow terminal, and the cursor one."""
 
 
 def _info(args: argparse.Namespace) -> int:
@@ -130,26 +125,12 @@ def _doctor(args: argparse.Namespace) -> int:
 
 
 def _play(args: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.live import Live
-    from rich.text import Text
-
-    from turtlebag.pipeline.terminal.braille import terminal_size
     from turtlebag.pipeline.terminal.play import Player, play
 
-    columns, rows = terminal_size()
-    player = Player(args.bag, (max(columns - 1, 1), max(rows - STATUS_ROWS, 1)))
+    player = Player(args.bag)
     log_notes(player.recording.notes)
-    if not sys.stdout.isatty():  # a log line each second instead of a moving picture
-        play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / args.rate)
-        return 0
-    with Live(console=Console(file=bare(sys.stdout), highlight=False), auto_refresh=False) as live:
-        play(
-            player,
-            lambda frame: live.update(Text(f"{frame.drawing}\n{frame.status}"), refresh=True),
-            rate=args.rate,
-            every_s=0.1,
-        )
+    # A line each recorded second.
+    play(player, lambda frame: print(frame.status, flush=True), rate=args.rate, every_s=1.0 / args.rate)
     return 0
 
 

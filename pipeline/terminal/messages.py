@@ -187,9 +187,9 @@ def _shown() -> bool:
 
 
 @contextmanager
-def redrawn(*, whole_screen: bool = False) -> Iterator[Callable[[str], None]]:
-    """Shows each frame of a status line, or of a drawing on the whole screen, in the place of the last one;
-    silent when stderr is not a terminal or -q was given. A frame is cut where the terminal ends."""
+def redrawn() -> Iterator[Callable[[str], None]]:
+    """Shows each frame of a status line in the place of the last one; silent when stderr is not a terminal or
+    -q was given. A frame is cut where the terminal ends."""
     if quiet() or not sys.stderr.isatty():
         yield lambda frame: None
         return
@@ -201,7 +201,6 @@ def redrawn(*, whole_screen: bool = False) -> Iterator[Callable[[str], None]]:
     with (
         Live(
             console=console,
-            screen=whole_screen,
             auto_refresh=False,
             transient=True,
             redirect_stdout=False,
