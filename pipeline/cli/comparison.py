@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.terminal.messages import print_table
+from turtlebag.pipeline.terminal.messages import print_table, say
 from turtlebag.reports.compare import Comparison
 from turtlebag.reports.system_comparison import SystemComparison
 
@@ -18,15 +18,15 @@ def print_comparison(found: Comparison | SystemComparison) -> None:
 
 def _print_outputs(found: Comparison) -> None:
     for key, one, other in found.settings:
-        print(f"{key}: {one} -> {other}")
+        say(f"{key}: {one} -> {other}")
     rows = [(row.label, row.a, row.b, row.difference, row.relative) for row in found.rows]
     print_table([("", "A", "B", "B - A", ""), *rows] if rows else [])
-    print(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
+    say(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
 
 
 def _print_systems(found: SystemComparison) -> None:
     for name, note in found.notes:
-        print(f"{name}: {note}")
+        say(f"{name}: {note}")
     texts = [(row.spec.label, *row.texts, row.spec.evo) for row in found.rows]
     print_table([("", *found.names, "evo"), *texts], left=(0, -1))
-    print(found.sentence)
+    say(found.sentence)

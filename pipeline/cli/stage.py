@@ -9,6 +9,7 @@ from turtlebag.pipeline.cli.arguments import output
 from turtlebag.pipeline.stages.command_line import add_request, request_of
 from turtlebag.pipeline.stages.parser import Parser
 from turtlebag.pipeline.stages.requests.table import REQUESTS
+from turtlebag.pipeline.terminal.messages import say
 
 
 def example(verb: str) -> str:
@@ -43,5 +44,5 @@ def run(args: argparse.Namespace) -> int:
     else:
         code = run_stage(args.request, output(args))
     if args.verb in ("report", "compare") and args.out is not None:
-        print(args.out / "index.html")
+        say(str(args.out / "index.html"))
     return code

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.arguments import output, refuse
-from turtlebag.pipeline.stages.parser import Parser
-from turtlebag.pipeline.stages.requests.options import map_file, on_map, seed
+from turtlebag.pipeline.stages.parser import Parser, seed
+from turtlebag.pipeline.stages.requests.options import map_file, on_map
 
 if TYPE_CHECKING:
     from socket import socket

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.yaml_files import parsed, plain_message
-from turtlebag.pipeline.stages.parser import RENAMED, Parser, joined
+from turtlebag.pipeline.stages.parser import Parser, joined, refuse_former
 from turtlebag.pipeline.stages.requests.options import Laser, Option, flag_of
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.table import REQUESTS
@@ -108,8 +108,7 @@ def read(words: Sequence[str], kinds: Mapping[str, type[Request]] = REQUESTS) ->
     """The request of a command line, without its `turtlebag`; InputError for one that makes none."""
     verb = next((verb for verb in kinds if verb.split() == [*words[: len(verb.split())]]), None)
     if verb is None:
-        if words and words[0] in RENAMED:
-            raise InputError(f"{words[0]} is now called {RENAMED[words[0]]}")
+        refuse_former(next(iter(words), None))
         raise InputError(f"invalid choice: {' '.join(words[:1])!r} (choose from {', '.join(kinds)})")
     kind = kinds[verb]
     return request_of(kind, _parser(verb, kind).parse_args(joined(words[len(verb.split()) :])))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, whole
 
 RENAMED = {
     "blame": "ablate",
@@ -18,6 +20,18 @@ RENAMED = {
     **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
 }
 """Present names of verbs and options by their former ones, for the error that a former one is."""
+REMOVED: dict[str, str] = {
+    "teleop --view": "turtlebag studio shows the scan and the map while you drive",
+}
+"""What to use in place of verbs and options that are gone; an option as `verb --option`."""
+
+
+def refuse_former(verb: str | None) -> None:
+    """InputError for a verb of former versions: what to use in its place."""
+    if verb in RENAMED:
+        raise InputError(f"{verb} is now called {RENAMED[verb]}")
+    if verb in REMOVED:
+        raise InputError(f"{verb} is gone; {REMOVED[verb]}")
 
 
 class Parser(argparse.ArgumentParser):
@@ -41,6 +55,8 @@ class Parser(argparse.ArgumentParser):
 
     def _report(self, unknown: list[str]) -> NoReturn:
         for old in [word.partition("=")[0] for word in unknown]:
+            if instead := REMOVED.get(f"{self.prog} {old}".removeprefix("turtlebag ")):
+                self.error(f"{old} is gone; {instead}")
             if RENAMED.get(old) in self._option_string_actions:
                 self.error(f"{old} is now called {RENAMED[old]}")
         near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
@@ -102,3 +118,46 @@ def joined(argv: Sequence[str]) -> list[str]:
         else:
             words.append(word)
     return words
+
+
+def seed(text: str) -> int:
+    """A seed: a non-negative integer."""
+    return _whole(text, 0)
+
+
+def count(text: str) -> int:
+    """A number of things, 1 or more."""
+    return _whole(text, 1)
+
+
+def positive(text: str) -> float:
+    """A finite number of more than 0."""
+    value = _number(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
+    return value
+
+
+def seconds(text: str) -> float:
+    """A finite number, 0 or more."""
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a number of seconds, 0 or more, not {text}")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return decimal(text)
+    except ValueError:
+        return math.nan
+
+
+def _whole(text: str, least: int) -> int:
+    try:
+        value = whole(text)
+    except ValueError:
+        value = -1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"must be a whole number, {least} or more, not {text}")
+    return value

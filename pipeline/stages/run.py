@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.options import XYT, Laser
@@ -17,6 +17,9 @@ from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log, say
+
+if TYPE_CHECKING:
+    from turtlebag.planners.costmap import Area
 
 
 def run(request: Request, out: Output) -> int:
@@ -60,18 +63,14 @@ def _drive_by_hand(request: KeyboardRequest, out: Output) -> int:
 
     scene = scene_of(request)
     state = keyboard_teleop.KeyState(scene.robot.limits, request.style)
-    table = keyboard_teleop.TABLES[request.style]
-    keyboard_teleop.show(table + "\n")
-    with (
-        keyboard_teleop.keys_of(sys.stdin.fileno()) as read_keys,
-        redrawn(whole_screen=request.view) as redraw,
-    ):
+    keyboard_teleop.show(keyboard_teleop.TABLES[request.style] + "\n")
+    with keyboard_teleop.keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
         return record_drive(
             scene,
             keyboard_teleop.keyboard_driver(state, read_keys, keyboard_teleop.clock(request.speed)),
             f"keyboard:{request.style}",
             out,
-            watch=keyboard_teleop.View(scene.robot, state, request.view, redraw, keys=table),
+            watch=keyboard_teleop.StatusLine(state, redraw),
         )
 
 
@@ -141,7 +140,7 @@ def _navigate(request: NavigateRequest, out: Output) -> int:
         duration_s=request.duration,
         wiggle=request.wiggle,
         teleop_override=request.teleop_override,
-        keepout=_outlines(request.keepout),
+        keepout=_areas(request.keepout),
         keepout_path=None if request.keepout in (None, "none") else Path(request.keepout),
     )
     world = load_world(request.world)
@@ -164,8 +163,8 @@ def _told(pose: XYT | Word) -> SE2 | Word:
     return SE2.from_xyt(*pose) if isinstance(pose, tuple) else pose
 
 
-def _outlines(keepout: Path | str | None) -> tuple[Array, ...] | None:
-    """The outlines of a file, or none; None: the world's own."""
+def _areas(keepout: Path | str | None) -> tuple[Area, ...] | None:
+    """The areas of a file, or none; None: the world's own."""
     from turtlebag.planners.tasks.waypoints import load_keepout
 
     return load_keepout(keepout) if isinstance(keepout, Path) else None if keepout is None else ()

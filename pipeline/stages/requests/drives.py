@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import is_own, part_of
+from turtlebag.pipeline.stages.parser import count, positive
 from turtlebag.pipeline.stages.requests.options import (
     POSE,
     RAD,
@@ -25,13 +26,11 @@ from turtlebag.pipeline.stages.requests.options import (
     Seed,
     Start,
     World,
-    count,
     file,
     flag,
     flag_of,
     on_map,
     pose_or,
-    positive,
 )
 from turtlebag.pipeline.stages.requests.request import Request
 
@@ -68,13 +67,12 @@ class KeyboardRequest(Request):
     """A drive with the keyboard, recorded."""
 
     VERB = "teleop"
-    EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
+    EXAMPLE = "turtlebag teleop --world turtlebot3_world --out data/records/mine"
 
     world: World
     robot: Robot = None
     seed: Seed = 1
     start: Start = None
-    view: Annotated[bool, flag("draw the scan and the map as it grows")] = False
     style: Annotated[
         Literal["keys", "turtlebot3"],
         Option(
@@ -182,7 +180,9 @@ class NavigateRequest(Request):
     keepout: Annotated[
         Path | Literal["none"] | None,
         Option(
-            "FILE|none", "YAML file with keep-out polygons under 'keepout' (default: the world's own)", "none"
+            "FILE|none",
+            "YAML file with keep-out polygons, or a map yaml as a mask (default: the world's own)",
+            "none",
         ),
     ] = None
     config: ConfigFile = None

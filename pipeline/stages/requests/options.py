@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import inspect
 import math
 from collections.abc import Callable, Mapping
@@ -14,9 +13,11 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, decimals
 from turtlebag.datasets.parts import name_of
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import parsed
+from turtlebag.pipeline.stages.parser import seed
 from turtlebag.pipeline.terminal.messages import note_degrees
 
 FARTHEST_M = 1e9
@@ -52,37 +53,6 @@ def flag(text: str, name: str = "") -> Option:
     return Option("", text, name=name)
 
 
-def seed(text: str) -> int:
-    """A seed: a non-negative integer."""
-    return _whole(text, 0)
-
-
-def positive(text: str) -> float:
-    """A finite number of more than 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
-    return value
-
-
-def count(text: str) -> int:
-    """A number of things, 1 or more."""
-    return _whole(text, 1)
-
-
-def _whole(text: str, least: int) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if value < least:
-        raise argparse.ArgumentTypeError(f"must be a whole number, {least} or more, not {text}")
-    return value
-
-
 XYT = tuple[float, float, float]
 
 
@@ -91,7 +61,7 @@ def pose(value: Any) -> XYT:
     if isinstance(value, str):
         parts = value.split(",")
         try:
-            numbers = [float(part) for part in parts]
+            numbers = decimals(parts)
         except ValueError:
             raise ValueError(f"expected {POSE} (metres and radians)") from None
     else:
@@ -219,10 +189,10 @@ def of_system(read: Callable[[Any], Any]) -> BeforeValidator:
     return BeforeValidator(named)
 
 
-def seconds(value: Any) -> float:
-    """A number of seconds that a clock may be off."""
+def clock_shift(value: Any) -> float:
+    """By how much a clock is off [s]."""
     try:
-        number = float(value)
+        number = decimal(value) if isinstance(value, str) else float(value)
     except ValueError:
         number = math.nan
     if not abs(number) < 4e9:

@@ -13,12 +13,12 @@ from turtlebag.pipeline.stages.requests.options import (
     RAD,
     XYT,
     Option,
+    clock_shift,
     file,
     flag,
     flag_of,
     of_system,
     pose,
-    seconds,
     system_file,
 )
 from turtlebag.pipeline.stages.requests.request import Request
@@ -50,7 +50,7 @@ class SystemsRequest(Request):
         ),
     ] = ()
     system_shift: Annotated[
-        tuple[Annotated[tuple[str, float], of_system(seconds)], ...],
+        tuple[Annotated[tuple[str, float], of_system(clock_shift)], ...],
         Option("[NAME=]SECONDS", "time to add to the stamps", "other=0.5", "s"),
     ] = ()
 
