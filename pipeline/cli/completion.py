@@ -60,7 +60,7 @@ def _arguments(parser: Parser) -> Iterator[argparse.Action]:
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
-                yield from _arguments(sub)
+                yield from _arguments(sub.ready())
         else:
             yield action
 

@@ -34,13 +34,10 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")
     from turtlebag.pipeline.campaign.sweep import sweep
-    from turtlebag.pipeline.cli.main import main, parsed
 
     code = sweep(
         args.campaign,
         output(args),
-        main,
-        parsed,
         store=args.store,
         scheduler=args.scheduler,
         workers=args.workers,

@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Any, get_args, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
@@ -18,6 +18,8 @@ from turtlebag.pipeline.stages.parser import Parser, joined, refuse_former
 from turtlebag.pipeline.stages.requests.options import Laser, Option, flag_of
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.table import REQUESTS
+
+Asked = TypeVar("Asked", bound=Request)
 
 
 class OrOwn(tuple[str, ...]):
@@ -59,6 +61,11 @@ def option_of(field: FieldInfo) -> Option:
     return next(one for one in field.metadata if isinstance(one, Option))
 
 
+def flag_of_field(request: Request, name: str) -> str:
+    """The option of a request's field."""
+    return _flag(name, option_of(type(request).model_fields[name]))
+
+
 def _flag(name: str, option: Option) -> str:
     return option.name or flag_of(name)
 
@@ -78,7 +85,7 @@ def _default(field: FieldInfo) -> str:
     )
 
 
-def request_of(kind: type[Request], args: argparse.Namespace) -> Request:
+def request_of(kind: type[Asked], args: argparse.Namespace) -> Asked:
     """The request that a command line makes; InputError names the option that is wrong."""
     given = {name: value for name, value in vars(args).items() if name in kind.model_fields}
     try:

@@ -38,12 +38,23 @@ class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and exit code 2; it takes no abbreviated options, whose
     meaning would change with the next option that begins alike."""
 
+    later: Callable[[Parser], None] | None = None
+    """Adds options when they are needed, because that imports what they are generated from."""
+
     def __init__(self, **more: Any) -> None:
         super().__init__(allow_abbrev=False, **more)
+
+    def ready(self) -> Parser:
+        """Itself, with all its options."""
+        later, self.later = self.later, None
+        if later is not None:
+            later(self)
+        return self
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """As argparse's, except that the parser that a word is meant for reports what is unknown: first
         options, which may be a required one misspelt, and it can suggest some."""
+        self.ready()
         last = self._subparsers is None
         for word in takewhile(lambda word: word != "--" and (last or word.startswith("-")), args):
             if word.startswith("--") and word.partition("=")[0] not in self._option_string_actions:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest, ReplayRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.options import XYT, Laser
@@ -47,6 +48,18 @@ def run(request: Request, out: Output) -> int:
 
             compare_as_asked(request, out)
             return 0
+        case ConvertRequest():
+            from turtlebag.pipeline.stages.bags import convert_bag
+
+            return convert_bag(request, out)
+        case RecoverRequest():
+            from turtlebag.pipeline.stages.bags import recover_bag
+
+            return recover_bag(request, out)
+        case ReplayRequest():
+            from turtlebag.pipeline.stages.studio import replay
+
+            return replay(request.session, out, say=log.info)
     raise TypeError(f"{type(request).__name__}: no stage does this")
 
 

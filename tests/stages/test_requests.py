@@ -19,6 +19,8 @@ NEEDED = {
     "plan": ["--map", "m.yaml", "--start=-2,0,0", "--goal", "1,1,0"],
     "report": ["rec", "map"],
     "compare": ["a", "b"],
+    "bag convert": ["rec"],
+    "bag recover": ["rec"],
 }
 FIELDS = [(verb, name) for verb, kind in REQUESTS.items() for name in kind.model_fields]
 
@@ -26,7 +28,7 @@ FIELDS = [(verb, name) for verb, kind in REQUESTS.items() for name in kind.model
 def needed(verb, name):
     """The command line that an option can be added to."""
     if verb != "navigate":
-        return [verb, *NEEDED.get(verb, [])]
+        return [*verb.split(), *NEEDED.get(verb, [])]
     task = TAKEN_BY.get(name, ("goal",))[0]
     extra = {"goal": ["--goal", "1,0,0", "--map", "m.yaml"], "patrol": ["--map", "m.yaml"]}.get(task, [])
     return [verb, "--world", "empty", "--task", task, *extra]
@@ -52,7 +54,7 @@ def test_each_field_says_what_it_is_and_its_example_is_read_and_written(verb, na
 
 def test_the_same_is_asked_for_by_words_and_by_values(tmp_path):
     words = "map rec --also b --also c --laser -0.1,0,0.3,upside-down --set a.b=[1,x] --set a.c=2 --explain"
-    asked = MapRequest.of(
+    asked = MapRequest.checked(
         source=tmp_path.relative_to(tmp_path) / "rec",
         also=["b", "c"],
         laser=(-0.1, 0, 0.3, True),
@@ -69,12 +71,14 @@ def test_of_two_settings_of_one_name_the_later_counts_and_comes_later():
 
 
 def test_a_class_is_taken_by_its_name():
-    asked = RecordRequest.of(world=MapRequest, settings={"front_end": MapRequest})
+    asked = RecordRequest.checked(world=MapRequest, settings={"front_end": MapRequest})
     assert asked.world == asked.settings["front_end"] == f"{MapRequest.__module__}:MapRequest"
 
 
 def test_paths_are_moved_wherever_a_request_holds_them():
-    asked = ReportRequest.of(folders=["a/x", "b"], system=[("other", "a/o.tum")], system_times=[("", "a/t")])
+    asked = ReportRequest.checked(
+        folders=["a/x", "b"], system=[("other", "a/o.tum")], system_times=[("", "a/t")]
+    )
     moved = asked.moved(lambda path: type(path)(str(path).replace("a/", "new/")))
     assert [str(path) for path in moved.folders] == ["new/x", "b"]
     assert [(name, str(path)) for name, path in moved.system] == [("other", "new/o.tum")]
@@ -102,5 +106,5 @@ def test_what_is_wrong_is_named_by_its_option_in_a_line(words):
 
 
 def test_a_task_of_ones_own_takes_every_option():
-    asked = NavigateRequest.of(world="empty", task="my.tasks:Push", map="m.yaml", laps=3, duration=4.0)
+    asked = NavigateRequest.checked(world="empty", task="my.tasks:Push", map="m.yaml", laps=3, duration=4.0)
     assert read(words_of(asked)) == asked

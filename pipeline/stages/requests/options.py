@@ -205,6 +205,7 @@ Name = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(val
 Pose = Annotated[XYT, BeforeValidator(typed_pose)]
 MapFile = Annotated[Path, AfterValidator(map_file)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 
 World = Annotated[

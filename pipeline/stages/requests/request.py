@@ -28,7 +28,7 @@ class Request(Settings):
     EXAMPLE: ClassVar[str]
 
     @classmethod
-    def of(cls, **given: Any) -> Self:
+    def checked(cls, **given: Any) -> Self:
         """The request of these fields; InputError names the first that is wrong, in one line."""
         try:
             return cls.model_validate(given)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest, ReplayRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
@@ -16,5 +17,8 @@ KINDS: tuple[type[Request], ...] = (
     NavigateRequest,
     ReportRequest,
     CompareRequest,
+    ConvertRequest,
+    RecoverRequest,
+    ReplayRequest,
 )
 REQUESTS = {kind.VERB: kind for kind in KINDS}

@@ -39,7 +39,7 @@ class Simulator:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """`start` is the true pose in the world (default: its spawn). InputError for unknown names."""
-        asked = RecordRequest.of(
+        asked = RecordRequest.checked(
             world=world, robot=robot, seed=seed, start=start, config=config, settings=settings or {}
         )
         self._scene = scene = scene_of(asked)

@@ -50,7 +50,7 @@ def record(
     stuck, the recording is kept, and its `notes` say so. InputError for unknown names and a start in an
     obstacle.
     """
-    asked = RecordRequest.of(
+    asked = RecordRequest.checked(
         world=world,
         robot=robot,
         teleop=teleop,
@@ -89,7 +89,7 @@ def map(
     """
     if upside_down and laser is None:
         raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
-    asked = MapRequest.of(
+    asked = MapRequest.checked(
         source=source,
         truth=truth,
         relations=relations,
@@ -127,7 +127,7 @@ def localise(
     """
     if upside_down and laser is None:
         raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
-    asked = LocaliseRequest.of(
+    asked = LocaliseRequest.checked(
         source=source,
         map=map,
         initial_pose=initial_pose,
@@ -160,7 +160,7 @@ def plan(
     a class; `compare` runs all of OMPL's. If there is no path, `success` is False and the verdict gives the
     reason. InputError for a start or goal off the map or in an obstacle.
     """
-    asked = PlanRequest.of(
+    asked = PlanRequest.checked(
         map=map,
         robot=robot_for(as_map(map), robot),
         start=start,
@@ -192,7 +192,7 @@ def report(
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
     files, rest = fields_of(systems)
-    asked = ReportRequest.of(folders=outputs, system=files, **rest, animate=animate, paper=paper)
+    asked = ReportRequest.checked(folders=outputs, system=files, **rest, animate=animate, paper=paper)
     return Report.of(made(asked, out, force, *outputs))
 
 
@@ -212,7 +212,7 @@ def compare(
     files, rest = fields_of(systems)
     if (other is None) == (not files):
         raise InputError("compare: give another output, or other systems by their names")
-    asked = CompareRequest.of(a=output, b=files if other is None else [("", other)], **rest)
+    asked = CompareRequest.checked(a=output, b=files if other is None else [("", other)], **rest)
     notes: list[str] = []
 
     def compared(request: Request, place: Output) -> int:
@@ -256,7 +256,7 @@ def navigate(
     scene = world if world is not None or on is None else on.world
     if scene is None:
         raise InputError("world: give the world to drive in; the map does not say where it was made")
-    asked = NavigateRequest.of(
+    asked = NavigateRequest.checked(
         world=scene,
         robot=robot if robot is not None or on is None else on.robot,
         seed=seed,
