@@ -54,10 +54,10 @@ class PlanConfig(Settings, allow_inf_nan=False):
     """`ompl`, or your own class."""
     ompl: OmplConfig = OmplConfig()
     margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
-        default=(0.10, 0.07, 0.04, 0.0), min_length=1
+        default=(0.10, 0.07, 0.04, 0.0), min_length=1, max_length=20
     )
     """Margins around the circumscribed circle, tried in this order; the last one only if needed."""
-    stretch: float = Field(default=1.05, ge=1.0)
+    stretch: float = Field(default=1.05, ge=1.0, le=10.0)
     """Longest path for the sake of a wider margin, relative to the shortest one with the last margin."""
     inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
     """Distance from the disc within which obstacles push the path away."""
