@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Done, Where, row_of, run_case
 from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.stages.run_again import Run
+from turtlebag.pipeline.terminal.messages import log
 
 THREADS = "threads"
 """In the place of a scheduler's address: threads of this process."""
@@ -24,7 +26,8 @@ AHEAD = 8
 
 @contextmanager
 def _client(scheduler: str | None, workers: int | None, scratch: Path) -> Iterator[Any]:
-    """A Dask client; the local cluster has one single-threaded worker a core and no dashboard."""
+    """A Dask client; the local cluster has one single-threaded worker a core, and Dask's dashboard where
+    Bokeh is installed."""
     import dask
     from distributed import Client, LocalCluster
 
@@ -44,7 +47,7 @@ def _client(scheduler: str | None, workers: int | None, scratch: Path) -> Iterat
         LocalCluster(
             n_workers=workers or os.cpu_count() or 1,
             threads_per_worker=1,
-            dashboard_address=":0",
+            dashboard_address="127.0.0.1:0" if find_spec("bokeh") else None,
             silence_logs=logging.CRITICAL,
             local_directory=str(scratch),
             **processes,
@@ -79,6 +82,9 @@ def run_cases(
     from distributed import as_completed
 
     with _client(scheduler, workers, scratch) as client:
+        with suppress(KeyError):  # a scheduler without one
+            if link := client.dashboard_link:
+                log.info(f"Dask's dashboard: {link}")
         going: dict[str, Case] = {}
         waiting, finished = iter(todo), as_completed()
 
