@@ -18,7 +18,7 @@ from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.sdf import load_sdf
 from turtlebag.sim.shapes import Solid, contains, sections
 from turtlebag.sim.world import World, WorldMaker
-from turtlebag.sim.world_files import GeneratorSpec, WorldSpec
+from turtlebag.sim.world_files import MOST_SHAPES, GeneratorSpec, WorldSpec
 
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
@@ -149,6 +149,8 @@ def _from_sdf(path: Path, settings: str) -> World:
             f"{path}: contains no static boxes, cylinders, spheres or meshes; "
             "for a world without obstacles use --world empty"
         )
+    if len(solids) > MOST_SHAPES:
+        raise InputError(f"{path}: {len(solids)} shapes; a world has at most {MOST_SHAPES}")
     bounds = _mappable(bounds_of(tuple(solids), 2.0), str(path))
     try:
         spawn = SE2.from_xyt(*decimals(value.split("/"))) if value else None

@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -26,6 +27,7 @@ from turtlebag.datasets.bags.folder import BagFolder
 from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.selection import EVERYTHING, Selection
 from turtlebag.datasets.bags.source import Bag, open_bag
+from turtlebag.datasets.bags.topics import qos_profiles
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Odometry, Recording, Twist
@@ -59,7 +61,7 @@ def _register(writer: Writer2, topic: Topic) -> Write:
         topic.msgtype,
         msgdef=topic.definition,
         rihs01=topic.type_hash or "RIHS01_" + "0" * 64,
-        offered_qos_profiles=parse_qos(topic.qos),
+        offered_qos_profiles=parse_qos(cast(Any, qos_profiles(topic.qos))),
     )
     return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 

@@ -12,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.cli.arguments import output, positive, refuse, seconds
 from turtlebag.pipeline.cli.parser import Parser, add_action
-from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
+from turtlebag.pipeline.terminal.messages import log, log_notes, print_table, say
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
@@ -87,21 +87,21 @@ def _info(args: argparse.Namespace) -> int:
 def _print_log(log_read: Recording) -> None:
     lidar, (x, y, yaw) = log_read.lidar, log_read.T_base_lidar.xyt.tolist()
     first, last = math.degrees(lidar.angles[0]), math.degrees(lidar.angles[-1])
-    print(f"{log_read.source}  (CARMEN log)")
-    print(f"{len(log_read)} scans, {log_read.duration():.2f} s, one every {lidar.scan_time:.3f} s")
-    print(f"{lidar.n_beams} beams from {first:.1f} to {last:.1f} degrees, up to {lidar.range_max:g} m")
-    print(f"laser at x {x:g} m, y {y:g} m, yaw {yaw:g} rad on the robot")
+    say(f"{log_read.source}  (CARMEN log)")
+    say(f"{len(log_read)} scans, {log_read.duration():.2f} s, one every {lidar.scan_time:.3f} s")
+    say(f"{lidar.n_beams} beams from {first:.1f} to {last:.1f} degrees, up to {lidar.range_max:g} m")
+    say(f"laser at x {x:g} m, y {y:g} m, yaw {yaw:g} rad on the robot")
     log_notes(log_read.notes)
 
 
 def _print_info(info: BagInfo) -> None:
-    print(f"{info.path}  ({info.kind}, {counted(len(info.files), 'file')})")
-    print(
+    say(f"{info.path}  ({info.kind}, {counted(len(info.files), 'file')})")
+    say(
         f"{info.count} messages, {info.duration():.2f} s, "
         f"from {info.start_ns * 1e-9:.3f} to {info.end_ns * 1e-9:.3f} s"
     )
     if info.custom:
-        print(", ".join(f"{key} {value}" for key, value in info.custom.items()))
+        say(", ".join(f"{key} {value}" for key, value in info.custom.items()))
     rows = [("topic", "type", "messages", "rate, Hz", "longest gap, s")]
     for topic in info.topics:
         rate = f"{topic.rate_hz():.2f}" if topic.count > 1 else "-"
@@ -116,11 +116,11 @@ def _doctor(args: argparse.Namespace) -> int:
 
     findings = examine(args.bag)
     for finding in findings:
-        print(f"{finding.severity}: {finding.check}: {finding.what}")
-        print(f"    breaks: {finding.breaks}")
+        say(f"{finding.severity}: {finding.check}: {finding.what}")
+        say(f"    breaks: {finding.breaks}")
     errors = sum(finding.severity == "error" for finding in findings)
     warnings = counted(len(findings) - errors, "warning")
-    print(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
+    say(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
     return 1 if errors else 0
 
 

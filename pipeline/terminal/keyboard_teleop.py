@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import Literal
 
 from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.terminal.keys import ARROWS, DOWN, LEFT, RIGHT, UP, Keys
 from turtlebag.pipeline.terminal.messages import quiet
 from turtlebag.sim.robots import Limits
 from turtlebag.sim.simulator import CONTROL_HZ, Truth
@@ -28,12 +29,13 @@ Style = Literal["keys", "turtlebot3"]
 TABLES: dict[Style, str] = {
     "keys": (
         "  W forward, S back    0.01 m/s   X or space  stop\n"
-        "  A left,    D right   0.1 rad/s  Q           end the recording"
+        "  A left,    D right   0.1 rad/s  Q           end the recording\n"
+        "  (arrow keys as W, S, A and D)"
     ),
     "turtlebot3": (
         "  w / x  linear  +/- 0.01 m/s     space or s  stop at once\n"
         "  a / d  angular +/- 0.1 rad/s    q           end the recording\n"
-        "  (the speed follows by half a step, ten times a second)"
+        "  (arrow keys as w, x, a and d; the speed follows by half a step, ten times a second)"
     ),
 }
 
@@ -56,8 +58,8 @@ class KeyState:
         elif key in stops:
             self._v = self._w = self._out_v = self._out_w = 0.0
         else:
-            v = {"w": STEP_V, back: -STEP_V}.get(key, 0.0)
-            w = {"a": STEP_W, "d": -STEP_W}.get(key, 0.0)
+            v = {"w": STEP_V, UP: STEP_V, back: -STEP_V, DOWN: -STEP_V}.get(key, 0.0)
+            w = {"a": STEP_W, LEFT: STEP_W, "d": -STEP_W, RIGHT: -STEP_W}.get(key, 0.0)
             # Whole steps, so that as many back lead to exactly zero.
             self._v = _clip(round((self._v + v) / STEP_V) * STEP_V if v else self._v, self._limits.max_v)
             self._w = _clip(round((self._w + w) / STEP_W) * STEP_W if w else self._w, self._limits.max_w)
@@ -125,7 +127,7 @@ class OverrideKeys:
         for key in self._read_keys().lower():
             if key in "q\n\r\x04":
                 self._keys = None
-            elif key in "wasdx ":
+            elif key in "wasdx " + ARROWS:
                 self._keys = self._keys or KeyState(self._limits, "keys")
                 self._keys.press(key)
         wanted = None if self._keys is None else self._keys.command
@@ -162,16 +164,23 @@ def keys_of(stream: int) -> Iterator[Callable[[], str]]:
     The terminal is as before afterwards, whatever happens. From a pipe or file it gives one key at
     each call, and the end key at its end.
     """
+    keys = Keys()
     if not os.isatty(stream):
         # An empty read is the end of the pipe.
-        yield lambda: (os.read(stream, 1).decode(errors="ignore") or "q") if _ready(stream) else ""
+        yield lambda: _typed(stream, 1, keys, end="q") if _ready(stream) else ""
         return
     before = termios.tcgetattr(stream)
     tty.setcbreak(stream)
     try:
-        yield lambda: os.read(stream, 64).decode(errors="ignore") if _ready(stream) else ""
+        yield lambda: _typed(stream, 64, keys) if _ready(stream) else ""
     finally:
         termios.tcsetattr(stream, termios.TCSADRAIN, before)
+
+
+def _typed(stream: int, most: int, keys: Keys, end: str = "") -> str:
+    """The keys of up to `most` bytes; `end` where there are none any more."""
+    typed = os.read(stream, most)
+    return keys.of(typed.decode(errors="ignore")) if typed else end
 
 
 def _ready(stream: int) -> bool:
