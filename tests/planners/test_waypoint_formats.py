@@ -69,6 +69,9 @@ def test_what_ros2_topic_echo_prints_is_read(tmp_path):
     path.write_text("- [1, 2]\n---\na: [\n---\n")
     with pytest.raises(InputError, match=r"echo\.yaml, line 3: not valid YAML"):
         load_waypoints(path)
+    path.write_text("---\n" * 20_000)
+    with pytest.raises(InputError, match=r"echo\.yaml: more than 10000 documents"):
+        load_waypoints(path)
 
 
 def test_numbered_waypoints_go_by_their_numbers_and_named_ones_by_their_lines():
