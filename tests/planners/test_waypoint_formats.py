@@ -43,7 +43,7 @@ FILES = {
               enumerate(PLACES)},
     "flat": [{"frame_id": "map", "x": x, "y": y, "z": 0.0, **{f"q{k}": v for k, v in quaternion(a).items()}}
              for x, y, a in PLACES],
-    "theta": [{"name": "kitchen", "x": x, "y": y, "theta": a} for x, y, a in PLACES],
+    "theta": [{"location_name": "kitchen", "x": x, "y": y, "theta": a} for x, y, a in PLACES],
     "yaw": {"waypoints": [{"position": {"x": x, "y": y}, "orientation": {"yaw": a}} for x, y, a in PLACES]},
 }  # fmt: skip
 
