@@ -11,7 +11,8 @@ import numpy as np
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.bags.source import PACKED, SUFFIXES
 from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.durations import LONGEST_S, seconds
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.se2 import SE2, Array
@@ -188,6 +189,9 @@ def _drive(
         bag.truth(now.stamp_ns, now.T_world_base, now.twist)
         if interrupted:
             break
+        if seconds(now.stamp_ns) >= LONGEST_S:
+            stuck = f"no more than {LONGEST_S:g} s are simulated"
+            break
         try:
             command = driver.send(now)
         except StopIteration:
@@ -212,6 +216,8 @@ def replayed(path: Path) -> tuple[Generator[Twist, Truth, None], str]:
     stamps, v, w = read_commands(path)
     order = np.argsort(stamps, kind="stable")
     stamps, v, w = stamps[order] - stamps[order[0]], v[order], w[order]
+    if (span_s := seconds(int(stamps[-1]))) > LONGEST_S:
+        raise InputError(f"{path}: its /cmd_vel spans {span_s:g} s; at most {LONGEST_S:g} s are simulated")
     content = (stamps.tolist(), v.tolist(), w.tolist())
     return _driven(stamps, v, w), f"replay:{sha256_text(repr(content))[:16]}"
 

@@ -204,7 +204,7 @@ Name = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(val
 """A name, a path, or a class of one's own."""
 Pose = Annotated[XYT, BeforeValidator(typed_pose)]
 MapFile = Annotated[Path, AfterValidator(map_file)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=0.001, le=1e6, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 
