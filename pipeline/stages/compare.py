@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
@@ -22,6 +23,7 @@ from turtlebag.reports.system_comparison import SystemComparison, compare_system
 
 def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
     """The comparison of two outputs, or of ours and other systems'; with `out` as a page too."""
+    out = out and replace(out, request=request.recorded())
     for name, path in request.b:
         if not name and not path.exists():
             raise InputError(f"{path}: no such output, trajectory or map")

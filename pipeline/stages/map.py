@@ -25,7 +25,7 @@ from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
 from turtlebag.pipeline.stages.map3d import map_clouds
 from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
-from turtlebag.pipeline.stages.settings import Chosen, load_config
+from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
 from turtlebag.pipeline.stages.sources import MapInputs
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
 from turtlebag.reports.metrics.references import NO_REFERENCES, References
@@ -39,7 +39,7 @@ def build_map(
     out: Output,
     *,
     references: References = NO_REFERENCES,
-    config: Path | None = None,
+    config: ConfigSource = None,
     settings: Chosen = (),
     named: str | None = None,
     explain: bool = False,
@@ -69,7 +69,7 @@ def build_map(
     return 0 if tell_map(metrics, out.folder, slam_s) else 1
 
 
-def _mapped(inputs: MapInputs, config: Path | None, settings: Chosen, *, explain: bool) -> Mapped:
+def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explain: bool) -> Mapped:
     """Map planar scans, or where the source has none, its point clouds."""
     edits = Edits() if inputs.edits is None else load_edits(inputs.edits)
     earlier = None if inputs.continued is None else load_session(inputs.continued)
@@ -145,7 +145,7 @@ def _notes(recording: Recording, *, several: bool) -> Iterable[str]:
     return (f"{recording.source}: {note}" if several else note for note in recording.notes)
 
 
-def _settled(config: Path | None, settings: Chosen) -> SlamConfig:
+def _settled(config: ConfigSource, settings: Chosen) -> SlamConfig:
     """The settings, with the parts that they name looked up."""
     settled = load_config(SlamConfig, config, settings)
     front_end_maker(settled.front_end)

@@ -63,13 +63,28 @@ def record(scene: Scene, teleop: str, out: Output) -> int:
     0 done, 1 the robot got stuck, 130 interrupted, 143 terminated; what was recorded until then is
     complete and kept.
     """
-    own = teleop not in script_names() and Path(teleop).exists()
-    inputs = {"teleop": Path(teleop)} if own else {}
-    if own and is_recording(teleop):
+    inputs = _own_teleop(teleop)
+    if inputs and is_recording(teleop):
         driver, label = replayed(Path(teleop))
     else:
         driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
     return record_drive(scene, driver, label, out, inputs=inputs)
+
+
+def record_again(request: RecordRequest | KeyboardRequest, bag: Path, out: Output) -> int:
+    """A drive that a person drove, or ended, once more by the commands in its own bag."""
+    driver, _ = replayed(bag)
+    if isinstance(request, KeyboardRequest):
+        return record_drive(scene_of(request), driver, f"keyboard:{request.style}", out)
+    inputs, label = _own_teleop(request.teleop), request.teleop
+    if inputs and is_recording(label):
+        _, label = replayed(Path(label))
+    return record_drive(scene_of(request), driver, label, out, inputs=inputs)
+
+
+def _own_teleop(teleop: str) -> dict[str, Path]:
+    own = teleop not in script_names() and Path(teleop).exists()
+    return {"teleop": Path(teleop)} if own else {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +165,11 @@ def record_drive(
             "record",
             {**own_files(scene.world_name, scene.robot_name), **(inputs or {})},
             seed=scene.seed,
-            extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
+            extra={
+                "simulated_s": duration,
+                "realtime_factor": round(duration / wall, 2),
+                **({"interrupted": True} if interrupted else {}),
+            },
         )
     if interrupted:
         log.warning("interrupted; the recording so far is kept")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -26,8 +27,9 @@ if TYPE_CHECKING:
 def run(request: Request, out: Output) -> int:
     """Do it and write the output; the exit code: 0 done, 1 the task itself failed, 130 interrupted.
 
-    InputError, with nothing written, for what cannot be done.
+    The manifest records the request. InputError, with nothing written, for what cannot be done.
     """
+    out = replace(out, request=request.recorded())
     match request:
         case RecordRequest():
             return _record(request, out)
@@ -165,7 +167,7 @@ def _navigate(request: NavigateRequest, out: Output) -> int:
         out,
         config=load_config(NavigateConfig, request.config, settings),
         say=say if log.isEnabledFor(logging.INFO) else lambda line: None,
-        files=files | ({} if request.config is None else {"config": request.config}),
+        files=files | ({"config": request.config} if isinstance(request.config, Path) else {}),
     )
 
 

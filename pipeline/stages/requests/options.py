@@ -216,7 +216,7 @@ Robot = Annotated[
 ]
 Seed = Annotated[int, Field(ge=0), Option("N", "random seed", "1", read=seed)]
 Start = Annotated[Pose | None, Option(POSE, "true start pose (default: the world's spawn)", "-2,-0.5,0", RAD)]
-ConfigFile = Annotated[Path | None, file("FILE", "YAML file with settings", "mine.yaml")]
+ConfigFile = Annotated[Path | dict[str, Any] | None, file("FILE", "YAML file with settings", "mine.yaml")]
 Overrides = Annotated[
     dict[str, Any],
     BeforeValidator(chosen_settings),

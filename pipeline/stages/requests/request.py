@@ -6,6 +6,7 @@ and campaigns make, what a manifest records, and what `verify` runs again (`stag
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ from pydantic import ValidationError, field_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.yaml_files import plain_message
+from turtlebag.datasets.yaml_files import plain_message, read_mapping
 from turtlebag.pipeline.stages.requests.options import class_name
 
 Place = Callable[[str | Path], str | Path]
@@ -47,6 +48,14 @@ class Request(Settings):
             return [cls._from_python(one) for one in value]
         return class_name(value)
 
+    def recorded(self) -> dict[str, Any]:
+        """What a manifest says of it: every field, and in place of a settings file what that said."""
+        fields = dict(self)
+        if isinstance(fields.get("config"), Path):
+            fields["config"] = read_mapping(fields["config"])
+        whole = type(self).model_construct(**fields)
+        return {"verb": self.VERB, **_finite(whole.model_dump(mode="json"))}
+
     def files(self) -> list[Path]:
         """The existing files and folders that it names: what the stage may read.
 
@@ -66,6 +75,15 @@ def _paths(value: Any) -> Iterator[Path]:
     elif isinstance(value, tuple | dict):
         for one in value.values() if isinstance(value, dict) else value:
             yield from _paths(one)
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no numbers that are not finite: their names, which settings take as well."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_finite(one) for one in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _moved(value: Any, place: Place) -> Any:
