@@ -9,7 +9,7 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Literal
 
 import numpy as np
@@ -202,22 +202,29 @@ def keys_of(stream: int) -> Iterator[Callable[[], str]]:
     """A function that gives the keys typed on a terminal since its last call, without waiting for Enter.
 
     The terminal is as before afterwards, whatever happens. From a pipe or file it gives one key at
-    each call, and the end key at its end.
+    each call. Where no more can come, it gives the end key.
     """
     if not os.isatty(stream):
-        # An empty read is the end of the pipe.
-        yield lambda: (os.read(stream, 1).decode(errors="ignore") or "q") if _ready(stream) else ""
+        yield lambda: _typed(stream, 1)
         return
     before = termios.tcgetattr(stream)
     tty.setcbreak(stream)
     try:
-        yield lambda: os.read(stream, 64).decode(errors="ignore") if _ready(stream) else ""
+        yield lambda: _typed(stream, 64)
     finally:
-        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # of a terminal that was closed
+            termios.tcsetattr(stream, termios.TCSADRAIN, before)
 
 
-def _ready(stream: int) -> bool:
-    return bool(select.select([stream], [], [], 0.0)[0])
+def _typed(stream: int, most: int) -> str:
+    """The keys that wait there, at most so many; the end key where no more can come."""
+    if not select.select([stream], [], [], 0.0)[0]:
+        return ""
+    try:
+        keys = os.read(stream, most)
+    except OSError:  # the terminal was closed
+        keys = b""
+    return keys.decode(errors="ignore") if keys else "q"
 
 
 def clock(speed: float) -> Callable[[float], None]:
