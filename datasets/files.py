@@ -6,6 +6,7 @@ import bz2
 import hashlib
 import os
 import stat
+import weakref
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -98,11 +99,12 @@ def opened_plain(path: Path) -> BinaryIO:
 
 class FileBytes:
     """The bytes of a file, sliced as a `bytes` object is and read on demand. Unlike with a memory map, a file
-    that is truncated meanwhile is an InputError, not a crash."""
+    that is truncated meanwhile is an InputError, not a crash. Open as long as the object lives."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file = opened_plain(path)
+        weakref.finalize(self, self._file.close)
         self._size = os.fstat(self._file.fileno()).st_size
         self._start, self._window = 0, b""
         if not self._size:
