@@ -67,6 +67,7 @@ def sweep(
             except InputError as error:
                 raise InputError(f"{campaign_name}: stages.{stage}: {error}") from None
     with lock_output(out.folder, force=out.force) as lock:
+        lock.spare()
         inputs = _inputs(campaign_name, todo)
         lock.watch(inputs.values())
         where = _where(campaign, store, lock.partial, inputs, scheduler)

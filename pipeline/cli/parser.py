@@ -88,7 +88,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """--out and --force."""
         self.option("--out", what, text, Path, required=required)
-        self.flag("--force", "replace --out if it exists")
+        self.flag("--force", "replace --out if it is an output of ours that nobody has changed")
 
     def add_config(self) -> None:
         """--config and --set."""
