@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from turtlebag.datasets.bags.copying import DAMAGED, as_ros2, is_latched
 from turtlebag.datasets.bags.message import Message, Topic
@@ -88,7 +89,7 @@ class _Links:
         try:
             topic, translate = as_ros2(message.topic)
             data = translate(message.data)
-            content = typestore().deserialize_cdr(data, topic.msgtype)
+            content: Any = typestore().deserialize_cdr(data, topic.msgtype)
         except DAMAGED:
             self._damaged[message.topic.name] += 1
             return
