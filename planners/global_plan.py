@@ -40,7 +40,7 @@ INFORMED = 1.1
 """OMPL searches only floor on some way at most this much longer than the shortest over the cells: without
 it RRTConnect's are 2.5 % longer on average, one 78 % (48 plans on eight maps)."""
 POSE_RUNS = 12
-"""New seeds for a path of poses that is not found: of 12 with Dubins curves 8 are found, 7 with one."""
+"""New seeds for a path of poses that is not found. Not measured."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
@@ -214,10 +214,9 @@ def _plan_poses(
         poses = solve_poses(costmap, footprint, start, goal, config.ompl, seed + run)
         if poses is not None:
             return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name)
-    if config.ompl.space == "se2":  # the one space in which turns on the spot are ways
-        oriented = _oriented_plan(costmap, model, start, goal, config)
-        if oriented is not None:
-            return oriented
+    oriented = _oriented_plan(costmap, model, start, goal, config)
+    if oriented is not None:
+        return oriented
     raise NoPath(f"{config.ompl.name} found no path within its iterations")
 
 

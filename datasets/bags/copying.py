@@ -6,6 +6,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import yaml
 from rosbags.interfaces.typing import Typesdict
@@ -19,6 +20,10 @@ from turtlebag.datasets.bags.topics import definition, qos_profiles, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
+
+
+DAMAGED = (SerdeError, struct.error, ValueError, IndexError, OverflowError)
+"""What rosbags raises for a message that is not as its definition says."""
 
 
 class Untranslatable(ValueError):
@@ -78,6 +83,7 @@ def to_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     return renamed, lambda data: bytes(store.ros1_to_cdr(data, source))
 
 
+@lru_cache(maxsize=256)
 def as_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     """A topic of either layout as ROS 2 has it, with its definition, and the translation of its messages."""
     translate: Callable[[bytes], bytes] = bytes
@@ -126,7 +132,7 @@ class Copier:
             return
         try:
             write(message)
-        except (SerdeError, struct.error, ValueError, IndexError, OverflowError):
+        except DAMAGED:
             self._damaged[topic.name] += 1
         else:
             self.count += 1

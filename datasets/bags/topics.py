@@ -29,6 +29,34 @@ CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", ("tf2_msgs/msg/TFMessage", "t
 MAPPED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 """Types that mapping reads, apart from point clouds."""
 
+_LIVOX = "livox_to_pointcloud2", CLOUD
+_OUSTER = "os_cloud of ouster_ros (its replay launch file)", CLOUD
+CONVERTERS = {
+    "livox_ros_driver/msg/CustomMsg": _LIVOX,
+    "livox_ros_driver2/msg/CustomMsg": _LIVOX,
+    "livox_interfaces/msg/CustomMsg": _LIVOX,
+    "velodyne_msgs/msg/VelodyneScan": (
+        "velodyne_transform_node (ROS 1: cloud_nodelet) of velodyne_pointcloud",
+        CLOUD,
+    ),
+    "ouster_ros/msg/PacketMsg": _OUSTER,
+    "ouster_sensor_msgs/msg/PacketMsg": _OUSTER,
+    "sensor_msgs/msg/MultiEchoLaserScan": ("laser_proc", SCAN),
+}
+"""Types of lidar drivers that are not read, the ROS node that converts each, and to what."""
+
+
+def way_out(types: Mapping[str, str]) -> str:
+    """What converts the topics (name: type) of lidars in types that are not read; empty without any."""
+    lines = []
+    for name, msgtype in sorted(types.items()):
+        if msgtype in CONVERTERS:
+            node, made = CONVERTERS[msgtype]
+            kind, cloud = (text.replace("/msg/", "/") for text in (msgtype, made))
+            way = f"play the bag through the ROS node {node} and record the {cloud} that it publishes"
+            lines.append(f"{name} is {kind}, which is not read: {way}")
+    return "; ".join(lines)
+
 
 @dataclass(frozen=True, slots=True)
 class Topic:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,6 +27,8 @@ BAG = "bag"
 """The factor whose levels are the campaign's bags."""
 COLUMNS = frozenset({"case", "failed", "error"})
 """What every row of the table holds besides factors and results."""
+OWN_OUTPUT = re.compile(r"""(^|[\s'"|])--out([=\s'"|]|$)""")
+"""An option of a stage's command that a campaign sets itself."""
 Scalar = bool | int | float | str
 MOST_CASES = 100_000
 
@@ -154,6 +157,7 @@ class Campaign(Settings):
             raise ValueError("needs `factors` or `bags`")
         if clash := set(self.factor_names) & set(self.stages):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a stage")
+        self._outputs_are_the_campaigns()
         for stage in self.shared:
             if stage not in self.stages:
                 raise ValueError(f"shared: {stage} is not a stage of this campaign")
@@ -177,6 +181,16 @@ class Campaign(Settings):
                     raise ValueError(f"{kind}.{name}: the table has a column {name} of its own; rename it")
         if clash := set(self.factor_names) & set(self.results):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a result; rename one")
+
+    def _outputs_are_the_campaigns(self) -> None:
+        """No stage says where it writes to."""
+        texts = {f"stages.{stage}": line for stage, line in self.stages.items()}
+        for name, levels in self.factors.items():
+            if isinstance(levels, dict):
+                texts |= {f"factors.{name}.{level}": text for level, text in levels.items()}
+        for where, text in texts.items():
+            if OWN_OUTPUT.search(text):
+                raise ValueError(f"{where}: --out is set by the campaign; remove it")
 
     def _levels_are_there(self) -> None:
         for name, levels in self.factors.items():

@@ -12,11 +12,11 @@ from functools import cache
 from types import FrameType
 from typing import NoReturn
 
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.files import signatures
 from turtlebag.datasets.output_lock import lock_output, release_all
 from turtlebag.pipeline.cli.arguments import named_inputs
-from turtlebag.pipeline.cli.parser import RENAMED, Parser, add_action
+from turtlebag.pipeline.cli.parser import REMOVED, RENAMED, Parser, add_action
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.interrupts import handled
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, one_line, set_verbosity, show_cursor
@@ -95,11 +95,17 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
     verb = next((word for word in argv if not word.startswith("-")), None)
     if verb in RENAMED:
         raise InputError(f"{verb} is now called {RENAMED[verb]}")
-    return build_parser(verb).parse_args(joined(argv))
+    if verb in REMOVED:
+        raise InputError(f"{verb} is gone; {REMOVED[verb]}")
+    try:
+        return build_parser(verb).parse_args(joined(argv))
+    except SystemExit:  # after --help or --version, if that could be written
+        sys.stdout.flush()
+        raise
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    """End at once on Ctrl-C or SIGTERM, and leave no incomplete output.
+    """End at once on Ctrl-C, SIGTERM or SIGHUP, and leave no incomplete output.
 
     Nothing is raised: an exception would surface inside running compiled code, which reports it as its own
     error or crashes.
@@ -144,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return code
         except InputError as error:
             print(f"turtlebag: {one_line(error)}", file=sys.stderr)
-            return EXIT_INPUT
+            return error.code if isinstance(error, Unfinished) else EXIT_INPUT
         except ImportError as error:
             print(missing_package(error), file=sys.stderr)
             return EXIT_INPUT

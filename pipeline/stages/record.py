@@ -21,7 +21,7 @@ from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Stamps, Trajectory, Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
-from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
+from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
 from turtlebag.sim.script_driver import Stuck
@@ -59,7 +59,8 @@ def record(scene: Scene, teleop: str, out: Output) -> int:
     """Record a drive by a script, or by the /cmd_vel of a bag; returns the exit code.
 
     0 done, 1 the robot got stuck, 130 interrupted, 143 terminated; what was recorded until then is
-    complete and kept.
+    complete and kept. Unfinished when the disk is full or the terminal was closed: then it is kept beside
+    the output.
     """
     own = teleop not in script_names() and Path(teleop).exists()
     inputs = {"teleop": Path(teleop)} if own else {}
@@ -134,6 +135,7 @@ def record_drive(
             simulated_time() as clock,
         ):
             truth, duration, stuck = _drive(simulator, scene.start, driver, bag, watch, clock, interrupted)
+        require_no_hangup(interrupted)
         save_truth(folder / "truth", truth, scene.world, scene.robot)
         wall = out.wall_s
         out.finish(

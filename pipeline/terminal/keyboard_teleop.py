@@ -1,4 +1,4 @@
-"""Keyboard teleop: keys to speeds, at the pace of a clock, with a view of what the robot sees."""
+"""Keyboard teleop: keys to speeds, at the pace of a clock, and a line of what the robot does."""
 
 from __future__ import annotations
 
@@ -9,17 +9,13 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Literal
 
-import numpy as np
-
-from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.terminal.braille import Canvas, terminal_size
 from turtlebag.pipeline.terminal.keys import ARROWS, DOWN, LEFT, RIGHT, UP, Keys
 from turtlebag.pipeline.terminal.messages import quiet
-from turtlebag.sim.robots import Limits, RobotSpec
+from turtlebag.sim.robots import Limits
 from turtlebag.sim.simulator import CONTROL_HZ, Truth
 
 STEP_V, STEP_W = 0.01, 0.1
@@ -27,7 +23,6 @@ RAMP = 0.5
 """TurtleBot3's own node moves its output to the target by this share of a key's step, ten times a second."""
 STOPPING_STEPS = 30
 VIEW_EVERY = 6
-CELL_M = 0.05
 
 Style = Literal["keys", "turtlebot3"]
 
@@ -143,60 +138,23 @@ class OverrideKeys:
         return wanted
 
 
-class View:
-    """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone.
+class StatusLine:
+    """Writes the time, the command and where the robot is by odometry alone, a few times a second."""
 
-    A frame with a drawing fills the terminal of `size`, columns and rows: the drawing, `keys` (what they do)
-    and the speeds.
-    """
-
-    def __init__(
-        self,
-        robot: RobotSpec,
-        state: KeyState,
-        drawing: bool,
-        write: Callable[[str], None],
-        *,
-        keys: str = "",
-        size: Callable[[], tuple[int, int]] = terminal_size,
-    ) -> None:
-        self._T_base_lidar, self._state, self._write = robot.T_base_lidar, state, write
-        self._drawing, self._seen = drawing, np.zeros((0, 2), dtype=np.int64)
-        self._keys, self._size = keys.splitlines(), size
-        self._height = 2.0 * min(robot.lidar.range_max, 5.0)
+    def __init__(self, state: KeyState, write: Callable[[str], None]) -> None:
+        self._state, self._write = state, write
         self._count = 0
 
     def __call__(self, observation: Observation) -> None:
-        """Take an observation; draw a few times a second."""
-        scan, T_odom_base = observation.scan, observation.odometry.T_odom_base
-        if scan is not None and self._drawing:
-            points = T_odom_base @ (self._T_base_lidar @ scan.points_lidar())
-            cells = np.floor(points / CELL_M).astype(np.int64)
-            self._seen = np.unique(np.vstack([self._seen, cells]), axis=0)
+        """Take an observation."""
         if self._count % VIEW_EVERY == 0:
-            self._write(self.frame(observation))
+            wanted, odometry = self._state.command, observation.odometry
+            x, y, _ = odometry.T_odom_base.xyt.tolist()
+            self._write(
+                f"{observation.stamp_ns * 1e-9:7.1f} s  command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s  "
+                f"at {x:+.2f}, {y:+.2f}  odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s"
+            )
         self._count += 1
-
-    def frame(self, observation: Observation) -> str:
-        """The text of one frame."""
-        wanted, odometry = self._state.command, observation.odometry
-        x, y, yaw = odometry.T_odom_base.xyt.tolist()
-        line = (
-            f"{observation.stamp_ns * 1e-9:7.1f} s  command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s  "
-            f"at {x:+.2f}, {y:+.2f}  odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s"
-        )
-        if not self._drawing:
-            return line
-        columns, rows = self._size()
-        canvas = Canvas(columns, max(rows - len(self._keys) - 1, 1), (x, y), self._height)
-        canvas.dots(self.map_points)
-        canvas.robot(x, y, yaw)
-        return "\n".join([canvas.text(), *self._keys, line])
-
-    @property
-    def map_points(self) -> Array:
-        """Centres of all 5 cm cells that a beam has hit, (n, 2) in the odom frame."""
-        return (self._seen.astype(np.float64) + 0.5) * CELL_M
 
 
 @contextmanager
@@ -204,29 +162,30 @@ def keys_of(stream: int) -> Iterator[Callable[[], str]]:
     """A function that gives the keys typed on a terminal since its last call, without waiting for Enter.
 
     The terminal is as before afterwards, whatever happens. From a pipe or file it gives one key at
-    each call, and the end key at its end.
+    each call. Where no more can come, it gives the end key.
     """
     keys = Keys()
     if not os.isatty(stream):
-        # An empty read is the end of the pipe.
-        yield lambda: _typed(stream, 1, keys, end="q") if _ready(stream) else ""
+        yield lambda: _typed(stream, 1, keys)
         return
     before = termios.tcgetattr(stream)
     tty.setcbreak(stream)
     try:
-        yield lambda: _typed(stream, 64, keys) if _ready(stream) else ""
+        yield lambda: _typed(stream, 64, keys)
     finally:
-        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # of a terminal that was closed
+            termios.tcsetattr(stream, termios.TCSADRAIN, before)
 
 
-def _typed(stream: int, most: int, keys: Keys, end: str = "") -> str:
-    """The keys of up to `most` bytes; `end` where there are none any more."""
-    typed = os.read(stream, most)
-    return keys.of(typed.decode(errors="ignore")) if typed else end
-
-
-def _ready(stream: int) -> bool:
-    return bool(select.select([stream], [], [], 0.0)[0])
+def _typed(stream: int, most: int, keys: Keys) -> str:
+    """The keys of up to `most` bytes that wait there; the end key where no more can come."""
+    if not select.select([stream], [], [], 0.0)[0]:
+        return ""
+    try:
+        typed = os.read(stream, most)
+    except OSError:  # the terminal was closed
+        typed = b""
+    return keys.of(typed.decode(errors="ignore")) if typed else "q"
 
 
 def clock(speed: float) -> Callable[[float], None]:

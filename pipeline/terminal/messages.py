@@ -187,9 +187,9 @@ def _shown() -> bool:
 
 
 @contextmanager
-def redrawn(*, whole_screen: bool = False) -> Iterator[Callable[[str], None]]:
-    """Shows each frame of a status line, or of a drawing on the whole screen, in the place of the last one;
-    silent when stderr is not a terminal or -q was given. A frame is cut where the terminal ends."""
+def redrawn() -> Iterator[Callable[[str], None]]:
+    """Shows each frame of a status line in the place of the last one; silent when stderr is not a terminal or
+    -q was given. A frame is cut where the terminal ends."""
     if quiet() or not sys.stderr.isatty():
         yield lambda frame: None
         return
@@ -201,7 +201,6 @@ def redrawn(*, whole_screen: bool = False) -> Iterator[Callable[[str], None]]:
     with (
         Live(
             console=console,
-            screen=whole_screen,
             auto_refresh=False,
             transient=True,
             redirect_stdout=False,
@@ -303,6 +302,14 @@ class Words:
         return getattr(self._stream, name)
 
 
+def open_streams() -> None:
+    """Give Python's standard streams that were closed when it began to a file that cannot be written and has
+    nothing to read: no file that is opened later gets their numbers."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDONLY), mode))
+
+
 class _Bare:
     """`Words` for those who move the cursor."""
 
@@ -322,6 +329,7 @@ def bare(stream: TextIO) -> TextIO:
 @contextmanager
 def guarded_streams() -> Iterator[Words]:
     """Put `Words` in the place of stdout, which is yielded, and of stderr."""
+    open_streams()
     before = sys.stdout, sys.stderr
     out, err = Words(sys.stdout, "stdout", optional=False), Words(sys.stderr, "stderr", optional=True)
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
