@@ -216,9 +216,19 @@ def distance_to_point(x: float, y: float, segments: Array, circles: Array) -> fl
 @njit(cache=True)
 def keeps_clear(line: Array, need: float, segments: Array, circles: Array) -> bool:
     """Whether every point of a line (n, 2) is farther than `need` [m] from the nearest outline."""
-    for k in range(line.shape[0]):
-        if not distance_to_point(line[k, 0], line[k, 1], segments, circles) > need:
-            return False
+    n = line.shape[0]
+    mx, my = 0.5 * (line[0, 0] + line[n - 1, 0]), 0.5 * (line[0, 1] + line[n - 1, 1])
+    reach = need + 1e-9
+    for i in range(n):
+        reach = max(reach, math.hypot(line[i, 0] - mx, line[i, 1] - my) + need + 1e-9)
+    for k in range(segments.shape[0] + circles.shape[0]):
+        j = max(k - segments.shape[0], 0)
+        one = segments[k : k + 1], circles[j : j + (k >= segments.shape[0])]
+        if distance_to_point(mx, my, *one) > reach:
+            continue
+        for i in range(n):
+            if not distance_to_point(line[i, 0], line[i, 1], *one) > need:
+                return False
     return True
 
 
