@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.clutter import cluttered
 from turtlebag.sim.generators import GENERATORS, LIMITS, seeded
-from turtlebag.sim.raycast import distance_to_point
+from turtlebag.sim.raycast import first_with_room
 from turtlebag.sim.sdf import load_sdf
 from turtlebag.sim.shapes import Solid, contains, sections
 from turtlebag.sim.world import World, WorldMaker
@@ -177,8 +177,7 @@ def _roomy_place(solids: list[Solid], bounds: tuple[float, float, float, float])
     points = np.vstack([np.zeros(2), np.stack([x.ravel(), y.ravel()], axis=-1)])
     points = points[np.argsort(np.hypot(*points.T), kind="stable")]
     points = points[~contains(solids, 0.2, points)]
-    rooms = np.array([distance_to_point(px, py, outlines.segments, outlines.circles) for px, py in points])
-    best = int(np.argmax(rooms > 0.5)) if np.any(rooms > 0.5) else int(np.argmax(rooms))
+    best = first_with_room(points, 0.5, outlines.segments, outlines.circles)
     return SE2.from_xyt(points[best, 0], points[best, 1], 0.0)
 
 
