@@ -23,9 +23,9 @@ from turtlebag.datasets.bags.copying import (
     to_ros1,
 )
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.selection import EVERYTHING, Selection
 from turtlebag.datasets.bags.source import Bag, open_bag
+from turtlebag.datasets.bags.topics import Topic
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Odometry, Recording, Twist

@@ -14,8 +14,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.message import Message, Topic
-from turtlebag.datasets.bags.topics import definition, typestore
+from turtlebag.datasets.bags.topics import Message, Topic, definition, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"

@@ -121,12 +121,19 @@ def _doctor(args: argparse.Namespace) -> int:
 
     findings = examine(args.bag)
     for finding in findings:
-        print(f"{finding.severity}: {finding.check}: {finding.what}")
-        print(f"    breaks: {finding.breaks}")
-    errors = sum(finding.severity == "error" for finding in findings)
-    warnings = counted(len(findings) - errors, "warning")
-    print(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
-    return 1 if errors else 0
+        print(f"{finding.severity}: {finding.kind}: {finding.what}")
+        if finding.breaks:
+            print(f"    breaks: {finding.breaks}")
+        if finding.remedy:
+            print(f"    here: {finding.remedy}")
+        if finding.first_ns is not None:
+            print(f"    first: at {finding.first_ns * 1e-9:.3f} s")
+    errors, warnings = (
+        counted(sum(finding.severity == severity for finding in findings), severity)
+        for severity in ("error", "warning")
+    )
+    print(f"{errors}, {warnings}" if any(f.breaks for f in findings) else "no defect found")
+    return 1 if any(finding.severity == "error" for finding in findings) else 0
 
 
 def _play(args: argparse.Namespace) -> int:

@@ -182,7 +182,7 @@ def test_the_warning_says_where_and_what_to_do(drive, tmp_path):
     assert sum(1 for _ in bag.messages()) > 0
     assert "a.mcap: " in bag.notes[0]
     assert "byte" in bag.notes[0]
-    assert "bag recover" in bag.notes[1]
+    assert "bag recover" in bag.notes[0]
 
 
 @pytest.mark.parametrize("missing", [1, 512, 4095])

@@ -71,7 +71,7 @@ def test_a_cut_bag_gives_what_is_there_and_says_so(plain, tmp_path):
         assert len(got) > (share - 0.1) * len(whole)
         assert "b.bag: damaged at byte" in bag.notes[0]
     assert load_recording(path).ranges.shape[1] == 360
-    assert "damaged file" in {finding.check for finding in examine(path)}
+    assert "damaged file" in {finding.kind for finding in examine(path)}
 
 
 @pytest.mark.slow
