@@ -111,7 +111,7 @@ class Contents:
 
     def read_headers(self, name: str) -> tuple[Stamps, Stamps]:
         """Stamps and log times [ns] of one of the `others`."""
-        found = self._decoded(name, self.others[name], decode.Cursor.header)
+        found = self._decoded(name, self.others[name], decode.header)
         stamps = np.array([stamp for _, (stamp, _) in found], dtype=np.int64)
         return stamps, np.array([time for time, _ in found], dtype=np.int64)
 

@@ -54,7 +54,7 @@ def find_odometry(contents: Contents, scan_frame: str, findings: list[Finding]) 
         parent, child = links[0]
         findings.append(Finding("odometry source", "", f"odometry from /tf ({parent} -> {child})"))
         return of_link(frames, links[0], findings)
-    what = "no odometry: neither an Odometry topic nor odom -> base in /tf"
+    what = "neither an Odometry topic nor odom -> base in /tf"
     findings.append(Finding("no odometry", "", what, remedy="the scans alone are used"))
     return OdometrySource(frames.base())
 

@@ -285,7 +285,7 @@ def test_odometry_is_the_one_topic_or_odom_and_else_the_transforms(tmp_path):
     several = "several odometry topics and no /odom: /a, /b; /tf is used"
     by_tf, none = (
         "odometry from /tf (odom -> base_footprint)",
-        "no odometry: neither an Odometry topic nor odom -> base in /tf; the scans alone are used",
+        "neither an Odometry topic nor odom -> base in /tf; the scans alone are used",
     )
     for name, topics, moving, notes, step in (
         ("a", ["/x"], True, [], 1.0),

@@ -49,6 +49,10 @@ def compressed(plain, path, compression):
 FORMATS = [None, *Writer.CompressionFormat]
 
 
+def test_the_doctor_finds_nothing_wrong_with_a_good_one(plain):
+    assert examine(plain) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", FORMATS)
 def test_the_same_messages_as_rosbags_reads(plain, tmp_path, compression):
