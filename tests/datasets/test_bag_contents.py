@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.helpers.bag_samples import write_drive
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.contents import Contents
-from turtlebag.datasets.bags.convert import to_ros1_bag
 from turtlebag.datasets.bags.copying import into_mcap
 from turtlebag.datasets.bags.folder import BagFolder
 from turtlebag.datasets.bags.source import open_bag

@@ -13,7 +13,8 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
+from tests.helpers.ros1_bags import to_ros1_bag
+from turtlebag.datasets.bags.convert import to_sqlite3
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag

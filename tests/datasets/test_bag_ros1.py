@@ -6,7 +6,7 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 
 from tests.helpers.bag_samples import write_drive
-from turtlebag.datasets.bags.convert import to_ros1_bag
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.doctor import examine
 from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.reader import bag_info
