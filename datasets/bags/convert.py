@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
@@ -13,7 +14,7 @@ from turtlebag.datasets.bags.copying import Copier, Untranslatable, Write, as_ro
 from turtlebag.datasets.bags.folder import BagFolder
 from turtlebag.datasets.bags.selection import EVERYTHING, Selection
 from turtlebag.datasets.bags.source import Bag, open_bag
-from turtlebag.datasets.bags.topics import Topic
+from turtlebag.datasets.bags.topics import Topic, qos_profiles
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Odometry, Recording, Twist
@@ -47,7 +48,7 @@ def _register(writer: Writer, topic: Topic) -> Write:
         topic.msgtype,
         msgdef=topic.definition,
         rihs01=topic.type_hash or "RIHS01_" + "0" * 64,
-        offered_qos_profiles=parse_qos(topic.qos),
+        offered_qos_profiles=parse_qos(cast(Any, qos_profiles(topic.qos))),
     )
     return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 

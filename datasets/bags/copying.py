@@ -8,13 +8,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
+import yaml
 from rosbags.interfaces.typing import Typesdict
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.topics import Message, Topic, definition, typestore
+from turtlebag.datasets.bags.topics import Message, Topic, definition, qos_profiles, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
@@ -109,6 +110,7 @@ class Copier:
         self._writers: dict[Topic, Write | None] = {}
         self._skipped: dict[str, str] = {}
         self._damaged: Counter[str] = Counter()
+        self._no_qos: list[str] = []
         self.count = 0
 
     def write(self, message: Message) -> None:
@@ -128,6 +130,11 @@ class Copier:
 
     def _writer(self, topic: Topic) -> Write | None:
         try:
+            qos_profiles(topic.qos)
+        except (ValueError, yaml.YAMLError):
+            self._no_qos.append(topic.name)
+            topic = replace(topic, qos="")
+        try:
             return self._register(topic)
         except Untranslatable as error:
             self._skipped[topic.name] = str(error)
@@ -139,6 +146,7 @@ class Copier:
         """What was left out."""
         return [
             *(f"skipped {text}" for text in self._skipped.values()),
+            *(f"{name}: its quality of service cannot be read and is left out" for name in self._no_qos),
             *(f"{name}: {count} damaged messages left out" for name, count in self._damaged.items()),
         ]
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+import sqlite3
 import tempfile
+import weakref
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -23,6 +26,7 @@ from turtlebag.datasets.bags.topics import (
     Wanted,
     full_type,
     metadata_text,
+    qos_profiles,
 )
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
@@ -67,7 +71,8 @@ class Bag:
         self.path, self.kind, self.files, self.findings = path, kind, files, findings
         self._custom = dict(custom or {})
         self._packed = packed_messages
-        self._keep = keep  # the folder of unpacked files lives as long as the bag
+        if keep is not None:  # the folder of unpacked files lives as long as the bag
+            weakref.finalize(self, keep.cleanup)
         self._before = {file: signatures(file) for file in files}
 
     def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:
@@ -176,7 +181,7 @@ def _open_folder(path: Path) -> Bag:
         except OSError as error:
             # Nothing is wrong with the bag: who may not read it is told so, once, before any work.
             raise InputError(f"{folder / METADATA_FILE}: cannot be read ({error.strerror})") from None
-        except (KeyError, TypeError, ValueError, AttributeError, RecursionError, yaml.YAMLError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
             what = f"{METADATA_FILE} cannot be used ({one_line(error)})"
             findings.append(Finding("missing metadata", "", what, remedy="the files beside it are read"))
     for suffix, kind in SUFFIXES.items():
@@ -241,6 +246,7 @@ def _sqlite3_messages(path: Path, wanted: Wanted | None, findings: list[Finding]
 
     count = 0
     try:
+        _require_readable_qos(path)
         with Reader(path) as reader:
             topics = {connection.id: _sqlite3_topic(connection) for connection in reader.connections}
             chosen = [c for c in reader.connections if wanted is None or wanted(topics[c.id])]
@@ -260,6 +266,15 @@ def _sqlite3_messages(path: Path, wanted: Wanted | None, findings: list[Finding]
         if path.stat().st_size % (page if page > 1 else 1 << 16):  # SQLite takes what is missing for zeros
             what = "cut off inside its last page: messages may be missing or damaged"
             findings.append(Finding("damaged file", path.name, what))
+
+
+def _require_readable_qos(path: Path) -> None:
+    """yaml.YAMLError or ValueError unless rosbags, which reads it without a bound, can read what the topics
+    offer."""
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as file:
+        if any(column[1] == "offered_qos_profiles" for column in file.execute("PRAGMA table_info(topics)")):
+            for (qos,) in file.execute("SELECT offered_qos_profiles FROM topics"):
+                qos_profiles(qos)
 
 
 def one_line(error: Exception) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
-from turtlebag.datasets.yaml_files import DUMPER, LOADER
+from turtlebag.datasets.yaml_files import DUMPER, plain_values
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -150,6 +150,15 @@ def definition(msgtype: str) -> tuple[str, str]:
     return text, store.hash_rihs01(msgtype)
 
 
+def qos_profiles(qos: str) -> list[dict[str, Any]]:
+    """Qualities of service from the YAML that a bag records of a topic, maybe empty; yaml.YAMLError or
+    ValueError when it holds anything else."""
+    profiles = plain_values(qos) or []
+    if not (isinstance(profiles, list) and all(isinstance(one, dict) for one in profiles)):
+        raise ValueError("not a list of profiles")
+    return profiles
+
+
 def bag_metadata(
     topics: Sequence[tuple[str, str, str, str]],
     counts: Sequence[int],
@@ -174,7 +183,7 @@ def bag_metadata(
                     "name": name,
                     "type": msgtype,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": yaml.load(qos, Loader=LOADER) or [] if qos else [],
+                    "offered_qos_profiles": qos_profiles(qos),
                     "type_description_hash": type_hash,
                 },
                 "message_count": count,
