@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 
 Severity = Literal["error", "warning", "note"]
@@ -100,6 +101,17 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.what}; {self.remedy}" if self.remedy else self.what
 
+    def as_metrics(self) -> dict[str, object]:
+        """What metrics.json holds of it."""
+        return {
+            "kind": self.kind,
+            "severity": self.severity,
+            "topic": self.topic,
+            "count": self.count,
+            "first_s": None if self.first_ns is None else seconds(self.first_ns),
+            "text": str(self),
+        }
+
 
 class Unusable(InputError):
     """A recording that cannot be mapped because of a finding."""
@@ -107,6 +119,12 @@ class Unusable(InputError):
     def __init__(self, path: Path, finding: Finding) -> None:
         super().__init__(f"{path}: {finding}")
         self.finding = finding
+
+
+def metrics_of(findings: Iterable[Finding]) -> dict[str, list[dict[str, object]]]:
+    """Findings as `findings` of metrics.json; nothing without any."""
+    found = [finding.as_metrics() for finding in dict.fromkeys(findings)]
+    return {"findings": found} if found else {}
 
 
 def lines_of(findings: Iterable[Finding]) -> tuple[str, ...]:

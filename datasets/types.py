@@ -276,6 +276,7 @@ class Recording3D:
     odometry: Trajectory | None = None
     imu: ImuLog | None = None
     notes: tuple[str, ...] = field(default=())
+    findings: tuple[Finding, ...] = field(default=())
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

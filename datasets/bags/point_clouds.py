@@ -165,6 +165,7 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
         odometry=odometry.poses,
         imu=imu,
         notes=lines_of(findings),
+        findings=tuple(findings),
     )
 
 
