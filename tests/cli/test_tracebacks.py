@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers.bag_samples import write_drive
 from tests.helpers.report_fakes import fake_record
-from turtlebag.datasets.bags.convert import to_ros1_bag
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.pipeline.cli.main import main
 
 

@@ -35,7 +35,6 @@ def commands(chain):
         "ablate": ("ablate", chain / "record", "--replace", "odometry"),
         "convert": ("bag", "convert", chain / "record"),
         "sqlite3": ("bag", "convert", chain / "record", "--storage", "sqlite3"),
-        "ros1.bag": ("bag", "convert", chain / "record"),
         "recover": ("bag", "recover", chain / "record"),
         "world.png": ("world", "show", chain / "room.yaml"),
         "sweep": ("sweep", chain / "sweep.yaml", "--workers", "1"),
