@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,6 +15,8 @@ from pydantic_core import ErrorDetails
 from turtlebag.datasets.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
+Loc = tuple[int | str, ...]
+"""Keys that lead to a value, as pydantic names them."""
 # libyaml's, where it is there: the same in a fraction of the time.
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -79,18 +82,39 @@ def plain_values(text: str) -> Any:
 
 
 def checked(model: type[Model], data: Any, *, where: str) -> Model:
-    """`data` as the model, or an InputError with the first wrong key."""
+    """`data` as the model, or an InputError with the first wrong key.
+
+    Keys that a model names in `REMOVED` are left out, with a note: files of earlier versions still have them.
+    """
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "top level"
-        what = plain_message(first)
-        if first["type"] == "extra_forbidden":
-            what = _unknown(model, first["loc"])
-        elif description := _description(model, first["loc"]):
-            what += f" ({description})"
-        raise InputError(f"{where}: {key}: {' '.join(what.split())}") from None
+        errors = error.errors()
+    if removed := {said["loc"]: note for said in errors if (note := _of_model(model, said, "REMOVED"))}:
+        for loc, note in removed.items():
+            logging.getLogger("turtlebag").warning("note: %s: %s: left out: %s", where, _dotted(loc), note)
+        return checked(model, _without(data, removed), where=where)
+    first = errors[0]
+    what = plain_message(first)
+    if first["type"] == "extra_forbidden":
+        what = _unknown(model, first)
+    elif description := _description(model, first["loc"]):
+        what += f" ({description})"
+    raise InputError(f"{where}: {_dotted(first['loc'])}: {' '.join(what.split())}")
+
+
+def _dotted(loc: Loc) -> str:
+    return ".".join(str(part) for part in loc) or "top level"
+
+
+def _without(data: Any, locs: Collection[Loc]) -> Any:
+    """The data less the values at these places; what is given stays as it is."""
+    here, below = {loc[0] for loc in locs if len(loc) == 1}, [loc for loc in locs if len(loc) > 1]
+    return {
+        key: _without(value, inner) if (inner := [loc[1:] for loc in below if loc[0] == key]) else value
+        for key, value in data.items()
+        if key not in here
+    }
 
 
 def plain_message(error: ErrorDetails) -> str:
@@ -99,21 +123,35 @@ def plain_message(error: ErrorDetails) -> str:
     return KINDS.get(error["type"], re.sub(r"^\w+ should ", "must ", said))
 
 
-def _unknown(model: type[BaseModel], loc: Sequence[int | str]) -> str:
+def _unknown(model: type[BaseModel], error: ErrorDetails) -> str:
     """What to say of an unknown key: its present name, else the known keys where there is a plain model."""
-    inner: Any = model
-    for part in loc[:-1]:
-        field = inner.model_fields.get(part)
-        inner = None if field is None else field.annotation
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-            return "unknown key"
-    # `RENAMED` is of Settings, not imported here: pydantic's first model would slow the start of every verb.
-    if new := getattr(inner, "RENAMED", {}).get(loc[-1]):
+    if new := _of_model(model, error, "RENAMED"):
         return f"is now called {new}"
-    return f"unknown key (known: {', '.join(inner.model_fields)})"
+    inner = _innermost(model, error["loc"])
+    return "unknown key" if inner is None else f"unknown key (known: {', '.join(inner.model_fields)})"
 
 
-def _description(model: type[BaseModel], loc: Sequence[int | str]) -> str | None:
+def _of_model(model: type[BaseModel], error: ErrorDetails, table: str) -> str | None:
+    """What a table of `Settings` (not imported here: pydantic's first model would slow the start of every
+    verb) says of an unknown key."""
+    if error["type"] != "extra_forbidden":
+        return None
+    said: str | None = getattr(_innermost(model, error["loc"]), table, {}).get(error["loc"][-1])
+    return said
+
+
+def _innermost(model: type[BaseModel], loc: Loc) -> type[BaseModel] | None:
+    """The model that the last key of a place is asked of, where plain models lead to it."""
+    for part in loc[:-1]:
+        field = model.model_fields.get(str(part))
+        inner: Any = None if field is None else field.annotation
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return None
+        model = inner
+    return model
+
+
+def _description(model: type[BaseModel], loc: Loc) -> str | None:
     """What the innermost key of a place is to hold, where the models say so."""
     field = model.model_fields.get(str(loc[0])) if loc else None
     inner: Any = None if field is None else field.annotation

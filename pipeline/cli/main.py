@@ -16,7 +16,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import signatures
 from turtlebag.datasets.output_lock import lock_output, release_all
 from turtlebag.pipeline.cli.arguments import named_inputs
-from turtlebag.pipeline.cli.parser import RENAMED, Parser, add_action
+from turtlebag.pipeline.cli.parser import REMOVED, RENAMED, Parser, add_action
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.interrupts import handled
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
@@ -95,6 +95,8 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
     verb = next((word for word in argv if not word.startswith("-")), None)
     if verb in RENAMED:
         raise InputError(f"{verb} is now called {RENAMED[verb]}")
+    if verb in REMOVED:
+        raise InputError(f"{verb} is gone; {REMOVED[verb]}")
     return build_parser(verb).parse_args(joined(argv))
 
 

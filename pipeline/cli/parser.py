@@ -18,6 +18,8 @@ RENAMED = {
     **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
 }
 """Present names of verbs and options by their former ones, for the error that a former one is."""
+REMOVED: dict[str, str] = {}
+"""What to use in place of verbs and options that are gone; an option as `verb --option`."""
 
 
 class OrOwn(tuple[str, ...]):
@@ -51,6 +53,8 @@ class Parser(argparse.ArgumentParser):
 
     def _report(self, unknown: list[str]) -> NoReturn:
         for old in [word.partition("=")[0] for word in unknown]:
+            if instead := REMOVED.get(f"{self.prog} {old}".removeprefix("turtlebag ")):
+                self.error(f"{old} is gone; {instead}")
             if RENAMED.get(old) in self._option_string_actions:
                 self.error(f"{old} is now called {RENAMED[old]}")
         near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
