@@ -34,7 +34,6 @@ VERBS = {
     "report": "make an HTML report from the outputs of other commands",
     "compare": "compare two outputs of the same command, or ours with another system's",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
-    "ablate": "map a recording with chosen parts replaced by ground truth (ablation)",
     "verify": "recompute a report's numbers from the bags",
     "bag": "inspect, play, repair and convert bags",
     "data": "list and fetch public logs",

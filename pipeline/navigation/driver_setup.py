@@ -158,7 +158,6 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
 
 
 Made = tuple[Task, OnlineLocaliser | None, GoalSequence | None]
-DriverMaker = Callable[[Mission, Observation, BagWriter, Callable[[str], None]], Made]
 
 
 def make_driver(
