@@ -120,10 +120,24 @@ def _run(args: argparse.Namespace, stdout: Words) -> int:
     if out is None:
         for path in inputs:
             signatures(path)  # no pipes, no devices
-        return int(args.run(args))
+        return _done(args)
     stdout.optional = True
     with lock_output(out, force=args.force, inputs=inputs):
+        return _done(args)
+
+
+def _done(args: argparse.Namespace) -> int:
+    """Exit code of the command. What a user's part raises is its author's to read: a traceback and exit code
+    1, even for an error that we would say in a line, or where it asks Python to exit."""
+    try:
         return int(args.run(args))
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
+        if parts and (place := parts.place_of(error)):
+            raise RuntimeError(place) from error
+        raise
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -158,11 +172,4 @@ def main(argv: Sequence[str] | None = None) -> int:
             return EXIT_INPUT
         except MemoryError:
             print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
-            return EXIT_INPUT
-        except (Exception, SystemExit) as error:
-            parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
-            said = parts.told_of(error) if parts else None
-            if said is None or getattr(args, "verbosity", 0) > 0:
-                raise
-            print(f"turtlebag: {said} (-v shows the traceback)", file=sys.stderr)
             return EXIT_INPUT
