@@ -32,7 +32,6 @@ def commands(chain):
         "report": ("report", "--no-animation", chain / "map"),
         "index": ("report", "--index", chain),
         "compare": ("compare", chain / "map", chain / "map"),
-        "ablate": ("ablate", chain / "record", "--replace", "odometry"),
         "convert": ("bag", "convert", chain / "record"),
         "sqlite3": ("bag", "convert", chain / "record", "--storage", "sqlite3"),
         "recover": ("bag", "recover", chain / "record"),
