@@ -65,6 +65,7 @@ def sweep(
         raise InputError(f"{campaign_name}: {error}") from None
     require_scheduler(scheduler)
     with lock_output(out.folder, force=out.force) as lock:
+        lock.spare()
         inputs = _inputs(campaign_name, todo)
         lock.watch(inputs.values())
         where = _where(campaign, store, lock.partial, inputs, scheduler)

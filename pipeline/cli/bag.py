@@ -6,6 +6,7 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
@@ -56,7 +57,7 @@ def add_arguments(parser: Parser) -> None:
         (
             "convert",
             _convert,
-            "convert a bag to another format, or a CARMEN log to a bag",
+            "convert a bag of ROS 1 or 2 or a CARMEN log to rosbag2, whole or in part",
             "turtlebag bag convert data/record --from 10 --to 60 --out data/part",
         ),
     ):
@@ -72,8 +73,7 @@ def _add_options(parser: Parser) -> None:
     verb = parser.prog.removeprefix("turtlebag ")
     add_request(parser, REQUESTS[verb])
     if verb == "bag convert":
-        text = "NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag"
-        parser.add_output(text, what="OUT")
+        parser.add_output("folder to write the rosbag2 bag to")
     else:
         parser.add_output()
 
@@ -123,12 +123,19 @@ def _doctor(args: argparse.Namespace) -> int:
 
     findings = examine(args.bag)
     for finding in findings:
-        say(f"{finding.severity}: {finding.check}: {finding.what}")
-        say(f"    breaks: {finding.breaks}")
-    errors = sum(finding.severity == "error" for finding in findings)
-    warnings = counted(len(findings) - errors, "warning")
-    say(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
-    return 1 if errors else 0
+        say(f"{finding.severity}: {finding.kind}: {finding.what}")
+        if finding.breaks:
+            say(f"    breaks: {finding.breaks}")
+        if finding.remedy:
+            say(f"    here: {finding.remedy}")
+        if finding.first_ns is not None:
+            say(f"    first: at {finding.first_ns * 1e-9:.3f} s")
+    errors, warnings = (
+        counted(sum(finding.severity == severity for finding in findings), severity)
+        for severity in ("error", "warning")
+    )
+    say(f"{errors}, {warnings}" if any(f.breaks for f in findings) else "no defect found")
+    return 1 if any(finding.severity == "error" for finding in findings) else 0
 
 
 def _play(args: argparse.Namespace) -> int:
@@ -150,7 +157,6 @@ def _recover(args: argparse.Namespace) -> int:
 
 
 def _convert(args: argparse.Namespace) -> int:
-    from turtlebag.pipeline.stages.bags import convert_to_ros1
     from turtlebag.pipeline.stages.command_line import request_of
     from turtlebag.pipeline.stages.requests.bags import ConvertRequest
     from turtlebag.pipeline.stages.run import run
@@ -159,5 +165,7 @@ def _convert(args: argparse.Namespace) -> int:
     if args.out.suffix in (".gz", ".bz2"):
         raise InputError(f"--out {args.out}: bags are written unpacked; leave out {args.out.suffix}")
     if args.out.suffix == ".bag":
-        return convert_to_ros1(request, args.out, force=args.force)
+        source = args.bag / "bag" if (args.bag / "bag").is_dir() else args.bag
+        way = f"use `rosbags-convert --src {quote(str(source))} --dst {quote(str(args.out))}`"
+        raise InputError(f"--out {args.out}: ROS 1 bags are read but not written; {way}")
     return run(request, output(args))

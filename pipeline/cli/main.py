@@ -11,7 +11,7 @@ from functools import cache
 from types import FrameType
 from typing import NoReturn
 
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.files import signatures
 from turtlebag.datasets.output_lock import lock_output, release_all
 from turtlebag.pipeline.cli.arguments import named_inputs
@@ -34,8 +34,7 @@ VERBS = {
     "report": "make an HTML report from the outputs of other commands",
     "compare": "compare two outputs of the same command, or ours with another system's",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
-    "ablate": "map a recording with chosen parts replaced by ground truth (ablation)",
-    "verify": "recompute a report's numbers from the bags",
+    "verify": "run a report and its stages again, and compare every file and number",
     "bag": "inspect, play, repair and convert bags",
     "data": "list and fetch public logs",
     "world": "list the built-in worlds, or draw one",
@@ -85,11 +84,15 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of one command; InputError for unknown ones."""
     verb = next((word for word in argv if not word.startswith("-")), None)
     refuse_former(verb)
-    return build_parser(verb).parse_args(joined(argv))
+    try:
+        return build_parser(verb).parse_args(joined(argv))
+    except SystemExit:  # after --help or --version, if that could be written
+        sys.stdout.flush()
+        raise
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    """End at once on Ctrl-C or SIGTERM, and leave no incomplete output.
+    """End at once on Ctrl-C, SIGTERM or SIGHUP, and leave no incomplete output.
 
     Nothing is raised: an exception would surface inside running compiled code, which reports it as its own
     error or crashes.
@@ -108,10 +111,24 @@ def _run(args: argparse.Namespace, stdout: Words) -> int:
     if out is None:
         for path in inputs:
             signatures(path)  # no pipes, no devices
-        return int(args.run(args))
+        return _done(args)
     stdout.optional = True
     with lock_output(out, force=args.force, inputs=inputs):
+        return _done(args)
+
+
+def _done(args: argparse.Namespace) -> int:
+    """Exit code of the command. What a user's part raises is its author's to read: a traceback and exit code
+    1, even for an error that we would say in a line, or where it asks Python to exit."""
+    try:
         return int(args.run(args))
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
+        if parts and (place := parts.place_of(error)):
+            raise RuntimeError(place) from error
+        raise
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -134,7 +151,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return code
         except InputError as error:
             print(f"turtlebag: {one_line(error)}", file=sys.stderr)
-            return EXIT_INPUT
+            return error.code if isinstance(error, Unfinished) else EXIT_INPUT
         except ImportError as error:
             print(missing_package(error), file=sys.stderr)
             return EXIT_INPUT
@@ -146,11 +163,4 @@ def main(argv: Sequence[str] | None = None) -> int:
             return EXIT_INPUT
         except MemoryError:
             print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
-            return EXIT_INPUT
-        except (Exception, SystemExit) as error:
-            parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
-            said = parts.told_of(error) if parts else None
-            if said is None or getattr(args, "verbosity", 0) > 0:
-                raise
-            print(f"turtlebag: {one_line(said)} (-v shows the traceback)", file=sys.stderr)
             return EXIT_INPUT

@@ -10,7 +10,7 @@ from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.selection import Selection
 from turtlebag.datasets.bags.source import is_carmen_log
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Output, staged_file
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.stages.command_line import flag_of_field
@@ -37,18 +37,6 @@ def convert_bag(request: ConvertRequest, out: Output) -> int:
         convert.require_messages(request.bag, count, notes)
         out.finish(folder, "bag convert", {"bag": request.bag})
     _tell(count, notes, out.folder)
-    return 0
-
-
-def convert_to_ros1(request: ConvertRequest, place: Path, *, force: bool) -> int:
-    """Write a ROS 1 bag, a single file; InputError as of `convert_bag`."""
-    if request.storage is not None:
-        raise InputError(f"--storage {request.storage}: does not apply to a ROS 1 bag; remove the option")
-    selection = _selection(request)
-    with staged_file(place, force=force) as file:
-        count, notes = convert.to_ros1_bag(_a_bag(request.bag), file, selection)
-        convert.require_messages(request.bag, count, notes)
-    _tell(count, notes, place)
     return 0
 
 

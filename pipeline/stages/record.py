@@ -23,7 +23,7 @@ from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, RecordRequest
 from turtlebag.pipeline.stages.settings import load_config
-from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
+from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
 from turtlebag.sim.script_driver import Stuck
@@ -31,6 +31,8 @@ from turtlebag.sim.simulator import SimConfig, Simulator, Truth
 from turtlebag.sim.teleop_scripts import commands, load_script, script_names
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world, own_files
+
+MANY_SHAPES = 1000
 
 
 class RecordOptions(Settings):
@@ -61,12 +63,15 @@ def record(scene: Scene, teleop: str, out: Output) -> int:
     """Record a drive by a script, or by the /cmd_vel of a bag; returns the exit code.
 
     0 done, 1 the robot got stuck, 130 interrupted, 143 terminated; what was recorded until then is
-    complete and kept.
+    complete and kept. Unfinished when the disk is full or the terminal was closed: then it is kept beside
+    the output.
     """
     inputs = _own_teleop(teleop)
     if inputs and is_recording(teleop):
         driver, label = replayed(Path(teleop))
     else:
+        if (count := len(scene.world.shapes)) > MANY_SHAPES:
+            log.info(f"{count} shapes: planning the drive may take minutes")
         driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
     return record_drive(scene, driver, label, out, inputs=inputs)
 
@@ -158,6 +163,7 @@ def record_drive(
             simulated_time() as clock,
         ):
             truth, duration, stuck = _drive(simulator, scene.start, driver, bag, watch, clock, interrupted)
+        require_no_hangup(interrupted)
         save_truth(folder / "truth", truth, scene.world, scene.robot)
         wall = out.wall_s
         out.finish(

@@ -9,7 +9,7 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Literal
 
 from turtlebag.datasets.types import Observation, Twist
@@ -162,29 +162,30 @@ def keys_of(stream: int) -> Iterator[Callable[[], str]]:
     """A function that gives the keys typed on a terminal since its last call, without waiting for Enter.
 
     The terminal is as before afterwards, whatever happens. From a pipe or file it gives one key at
-    each call, and the end key at its end.
+    each call. Where no more can come, it gives the end key.
     """
     keys = Keys()
     if not os.isatty(stream):
-        # An empty read is the end of the pipe.
-        yield lambda: _typed(stream, 1, keys, end="q") if _ready(stream) else ""
+        yield lambda: _typed(stream, 1, keys)
         return
     before = termios.tcgetattr(stream)
     tty.setcbreak(stream)
     try:
-        yield lambda: _typed(stream, 64, keys) if _ready(stream) else ""
+        yield lambda: _typed(stream, 64, keys)
     finally:
-        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # of a terminal that was closed
+            termios.tcsetattr(stream, termios.TCSADRAIN, before)
 
 
-def _typed(stream: int, most: int, keys: Keys, end: str = "") -> str:
-    """The keys of up to `most` bytes; `end` where there are none any more."""
-    typed = os.read(stream, most)
-    return keys.of(typed.decode(errors="ignore")) if typed else end
-
-
-def _ready(stream: int) -> bool:
-    return bool(select.select([stream], [], [], 0.0)[0])
+def _typed(stream: int, most: int, keys: Keys) -> str:
+    """The keys of up to `most` bytes that wait there; the end key where no more can come."""
+    if not select.select([stream], [], [], 0.0)[0]:
+        return ""
+    try:
+        typed = os.read(stream, most)
+    except OSError:  # the terminal was closed
+        typed = b""
+    return keys.of(typed.decode(errors="ignore")) if typed else "q"
 
 
 def clock(speed: float) -> Callable[[float], None]:

@@ -302,6 +302,14 @@ class Words:
         return getattr(self._stream, name)
 
 
+def open_streams() -> None:
+    """Give Python's standard streams that were closed when it began to a file that cannot be written and has
+    nothing to read: no file that is opened later gets their numbers."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDONLY), mode))
+
+
 class _Bare:
     """`Words` for those who move the cursor."""
 
@@ -321,6 +329,7 @@ def bare(stream: TextIO) -> TextIO:
 @contextmanager
 def guarded_streams() -> Iterator[Words]:
     """Put `Words` in the place of stdout, which is yielded, and of stderr."""
+    open_streams()
     before = sys.stdout, sys.stderr
     out, err = Words(sys.stdout, "stdout", optional=False), Words(sys.stderr, "stderr", optional=True)
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)

@@ -8,7 +8,8 @@ import pytest
 
 from tests.helpers.campaigns import CAMPAIGN, FAKES, UNDRAWN, fake, read_fake
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.output_lock import MARKER, lock_output
+from turtlebag.datasets.output_lock import lock_output
+from turtlebag.datasets.output_rules import MARKER
 from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree, write_json
 from turtlebag.pipeline.campaign.campaign_file import Campaign, load_campaign
 from turtlebag.pipeline.campaign.case import Where, recipes, run_case

@@ -27,7 +27,7 @@ class ConvertRequest(Request):
         Literal["mcap", "sqlite3"] | None,
         Option(
             "",
-            "storage format of the rosbag2 folder (default: mcap)",
+            "storage format (default: mcap)",
             "sqlite3",
             choices=("mcap", "sqlite3"),
         ),
