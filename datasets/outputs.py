@@ -88,8 +88,8 @@ def _growing(lock: OutputLock, *, save_bag: bool = False) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Output:
-    """The folder that a stage writes, and how: `force` replaces an earlier output, `command` and `request` tell
-    the manifest what was asked for. InputError when the folder exists and may not be replaced."""
+    """The folder that a stage writes, and how: `force` replaces an earlier output; `command` and `request`,
+    what was asked for, go into the manifest. InputError when the folder exists and may not be replaced."""
 
     folder: Path
     force: bool = False

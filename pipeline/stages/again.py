@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.yaml_files import checked
-from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.command_line import read, recorded
 from turtlebag.pipeline.stages.other_systems import MARK, from_manifest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.request import Request
@@ -46,8 +45,7 @@ def made_again(stage: Stage, stages: Sequence[Stage], out: Path, *, allow_comman
         if by_hand and isinstance(request, RecordRequest | KeyboardRequest):
             from turtlebag.pipeline.stages.record import record_again
 
-            output = replace(Output(out), request=request.recorded())
-            record_again(request, stage.folder / "bag", output)
+            record_again(request, stage.folder / "bag", recorded(request, Output(out)))
         elif by_hand:
             raise NotRun("was interrupted: it cannot be run again to the same end")
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -12,6 +13,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.yaml_files import parsed, plain_message
 from turtlebag.pipeline.stages.parser import Parser, joined, refuse_former
@@ -138,6 +140,12 @@ def words_of(request: Request) -> list[str]:
                 flag = _flag(name, option)
                 options += [f"{flag}={text}"] if text.startswith("-") else [flag, text]
     return [*words, *options]
+
+
+def recorded(request: Request, out: Output) -> Output:
+    """The output with what its manifest is to say was asked for."""
+    command = out.command or ["turtlebag", *words_of(request), "--out", str(out.folder)]
+    return replace(out, command=command, request=request.recorded())
 
 
 def _word(value: Any, setting: str = "") -> str:

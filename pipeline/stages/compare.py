@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.plurals import counted
+from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of, systems_of
 from turtlebag.pipeline.stages.requests.options import flag_of
 from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest
@@ -23,7 +23,7 @@ from turtlebag.reports.system_comparison import SystemComparison, compare_system
 
 def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
     """The comparison of two outputs, or of ours and other systems'; with `out` as a page too."""
-    out = out and replace(out, request=request.recorded())
+    out = out and recorded(request, out)
     for name, path in request.b:
         if not name and not path.exists():
             raise InputError(f"{path}: no such output, trajectory or map")

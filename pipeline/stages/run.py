@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest, ReplayRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
@@ -29,7 +29,7 @@ def run(request: Request, out: Output) -> int:
 
     The manifest records the request. InputError, with nothing written, for what cannot be done.
     """
-    out = replace(out, request=request.recorded())
+    out = recorded(request, out)
     match request:
         case RecordRequest():
             return _record(request, out)

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ from tests.helpers.report_fakes import fake_map, fake_record, rehash, undrawn
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.record import record_drive, scene_of
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest
 from turtlebag.pipeline.stages.requests.maps import MapRequest
@@ -106,21 +106,21 @@ FORGED = {
     ),
     "no goals": (
         in_metrics("run", lambda m: m.update(goals=[])),
-        "room/patrol:goals.0.status: reported None, computed reached",
+        "room-2/patrol:goals.0.status: reported None, computed reached",
     ),
     "an invented key": (
         in_metrics("run", lambda m: m.update(award="best paper")),
-        "room/patrol:award: reported best paper, not made again",
+        "room-2/patrol:award: reported best paper, not made again",
     ),
     "another seed": (
         in_manifest("run", lambda m: m.update(seed=7)),
-        "room/patrol: its manifest says seed 7; run again, it is 3",
+        "room-2/patrol: its manifest says seed 7; run again, it is 3",
     ),
     "another seed of all": (
         in_manifest("run", lambda m: (m.update(seed=7), m["request"].update(seed=7))),
-        "room/patrol: the command in its manifest has another seed than its request: 3 and 7",
+        "room-2/patrol: the command in its manifest has another seed than its request: 3 and 7",
     ),
-    "clean sensors": (in_config, "room/patrol/config.yaml: made again, it has other content"),
+    "clean sensors": (in_config, "room-2/patrol/config.yaml: made again, it has other content"),
     "a command that cannot run": (
         a_command_that_cannot_run,
         "room/map: the command in its manifest cannot run: invalid choice: 'mpa'",
@@ -162,8 +162,8 @@ def on_the_page(old, new):
 
 
 def a_figure(report):
-    (report / "figures/room-map-map.png").write_bytes(b"another")
-    rehash(report, "figures/room-map-map.png")
+    (report / "figures/room-map-graph.png").write_bytes(b"another")
+    rehash(report, "figures/room-map-graph.png")
 
 
 def a_table(report):
@@ -229,7 +229,7 @@ def test_a_drive_by_hand_is_driven_again_by_its_own_commands(chain, tmp_path):
             yield Twist(0.1, 0.3)
 
     driver = hand()
-    output = replace(Output(tmp_path / "record"), request=asked.recorded())
+    output = recorded(asked, Output(tmp_path / "record"))
     assert record_drive(scene_of(asked), driver, "keyboard:keys", output) == 0
     reported_again(tmp_path, "record")
     found = found_in(tmp_path)

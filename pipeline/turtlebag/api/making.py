@@ -15,7 +15,6 @@ from pathlib import Path
 from turtlebag.api.given import PathLike
 from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.stages.command_line import words_of
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import log, show_bars
@@ -67,8 +66,7 @@ def made(
     folder = TemporaryFolder() if out is None else None
     place = Path(out) if folder is None else folder.path / request.VERB  # type: ignore[arg-type]
     with _heard() as notes, lock_output(place, force=force, inputs=request.files()):
-        command = ["turtlebag", *words_of(request), "--out", str(place)]
-        if run(request, Output(place, force, command)) >= 128:
+        if run(request, Output(place, force)) >= 128:
             raise KeyboardInterrupt
     return Made(place, (folder, *used), tuple(notes))
 
