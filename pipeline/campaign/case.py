@@ -19,7 +19,6 @@ from typing import Any
 from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.parts import told_of
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.cases import Case, with_places
 from turtlebag.pipeline.campaign.store import Store
@@ -197,7 +196,7 @@ class _Work:
             raise self._failure(stage, f"turtlebag: {error}") from None
         except (Exception, SystemExit) as error:
             # A defect in one case must not end a campaign of a thousand: it becomes that case's result.
-            raise self._failure(stage, told_of(error) or f"{type(error).__name__}: {error}") from None
+            raise self._failure(stage, f"{type(error).__name__}: {error}") from None
         if not (out / "manifest.json").is_file():
             last = told.getvalue().strip().splitlines()[-1:] or [f"exit code {code}"]
             raise self._failure(stage, last[0])

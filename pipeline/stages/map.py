@@ -93,7 +93,8 @@ def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explai
 
 
 def _metrics(made: Mapped, references: References) -> Mapping[str, object]:
-    errors = references.errors(made.result.trajectory, made.result.grid)
+    known = made.recording.T_odom_base is not None
+    errors = references.errors(made.result.trajectory, made.result.grid, odometry=known)
     with_truth = made.with_truth if "ate_m" in errors else {}
     return {**summary(made.recording, made.result), **made.metrics, **errors, **with_truth}
 
