@@ -10,6 +10,7 @@ from typing import TextIO
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, decimals, whole
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.se3 import quaternions
 from turtlebag.datasets.types import Stamps, Trajectory
@@ -31,13 +32,13 @@ def stamp_from_text(text: str) -> int:
 
     ValueError when it is no number or more than 146 years from 0.
     """
+    seconds = decimal(text)
     if "e" in text.lower():
-        seconds = float(text)
         stamp = round(seconds * 1e9) if abs(seconds) < 1e10 else _END_OF_TIME_NS
     else:
         sign = -1 if text.startswith("-") else 1
-        whole, _, fraction = text.lstrip("+-").partition(".")
-        stamp = sign * (int(whole or "0") * 10**9 + int(fraction[:9].ljust(9, "0")))
+        before, _, after = text.lstrip("+-").partition(".")
+        stamp = sign * (whole(before or "0") * 10**9 + whole(after[:9].ljust(9, "0")))
     if abs(stamp) >= _END_OF_TIME_NS:
         raise ValueError(f"{text} s is not a plausible time")
     return stamp
@@ -105,7 +106,7 @@ class NumberLines:
         rows = []
         for index, (_, words) in enumerate(self.lines):
             try:
-                row = [float(word) for word in (words[:count] if at_least else words)]
+                row = decimals(words[:count] if at_least else words)
             except ValueError:
                 raise self.wrong(index, f"not numbers; expected {expected}") from None
             if len(row) != count or not all(abs(value) < 1e100 for value in row):

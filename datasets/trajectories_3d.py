@@ -11,6 +11,7 @@ import numpy as np
 
 from turtlebag.datasets.bags.plausibility import FAR_M
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, whole
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import lifted, planar, rotations
 from turtlebag.datasets.trajectories import NumberLines
@@ -128,7 +129,7 @@ def _nanoseconds(lines: NumberLines) -> Stamps:
     stamps = []
     for index, (_, (word, *_)) in enumerate(lines.lines):
         try:
-            stamp = int(word) if word.lstrip("+-").isdigit() else float(word)
+            stamp = whole(word) if word.lstrip("+-").isdigit() else decimal(word)
         except ValueError:
             stamp = math.nan
         if stamp != stamp or stamp != int(stamp) or abs(stamp) >= 2**62:

@@ -19,6 +19,7 @@ from turtlebag.datasets.bags.source import LOGS, PACKED, SUFFIXES
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.number_text import decimals
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import sha256_file, sha256_tree
 from turtlebag.datasets.runlog import RunLog
@@ -269,7 +270,7 @@ def read_path(path: Path) -> SE2:
         try:
             if not {"x", "y", "yaw"} <= set(reader.fieldnames or []):
                 raise KeyError
-            rows = [[float(row[name]) for name in ("x", "y", "yaw")] for row in reader]
+            rows = [decimals([row[name] for name in ("x", "y", "yaw")]) for row in reader]
         except (KeyError, TypeError, ValueError):
             raise InputError(f"{path}: not a path (expected columns x,y,yaw)") from None
     return SE2.from_array(np.array(rows).reshape(-1, 3))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.campaign.bags import find_bags
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign, Levels, Scalar, Uniform, levels_of
@@ -102,7 +103,7 @@ class LevelText(str):
         if found is None:
             raise ValueError(f"'{spec}' is not of the form A+B*x")
         sign = -1.0 if found["sign"] == "-" else 1.0
-        value = float(found["a"] or 0.0) + sign * float(found["b"]) * float(self)
+        value = decimal(found["a"] or "0") + sign * decimal(found["b"]) * decimal(self)
         return f"{value:.6g}"
 
 

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import output, positive
+from turtlebag.pipeline.cli.arguments import output, positive, refuse, seconds
 from turtlebag.pipeline.cli.parser import Parser, add_action
 from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
+    from turtlebag.datasets.bags.selection import Selection
     from turtlebag.datasets.types import Recording
 
 EXAMPLE = "turtlebag bag info data/record"
@@ -58,12 +59,18 @@ def add_arguments(parser: Parser) -> None:
         "convert",
         _convert,
         "convert a bag to another format, or a CARMEN log to a bag",
-        "turtlebag bag convert data/record --out record.bag",
+        "turtlebag bag convert data/record --from 10 --to 60 --out data/part",
     )
     sub.add_output("NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag", what="OUT")
     text = "storage format of the rosbag2 folder (default: mcap)"
     sub.add_argument("--storage", choices=("mcap", "sqlite3"), help=text)
     sub.repeated("--exclude", "TOPIC", "topic to leave out; may be repeated")
+    text = "drop every transform whose child is FRAME, in /tf and /tf_static; may be repeated"
+    sub.repeated("--exclude-frame", "FRAME", text, _frame)
+    text = "copy from this time on, in seconds from the bag's beginning (default: 0)"
+    sub.option("--from", "S", text, seconds)
+    text = "copy up to this time, in seconds from the bag's beginning (default: its end)"
+    sub.option("--to", "S", text, seconds)
 
 
 STATUS_ROWS = 3
@@ -159,26 +166,37 @@ def _recover(args: argparse.Namespace) -> int:
     return 0
 
 
+def _frame(text: str) -> str:
+    """A frame's name without ROS 1's leading slash."""
+    return text.lstrip("/")
+
+
 def _convert(args: argparse.Namespace) -> int:
     from turtlebag.datasets.bags import convert
+    from turtlebag.datasets.bags.selection import Selection
     from turtlebag.datasets.outputs import staged_file
 
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
-    if args.exclude and _is_log(args.bag):
-        raise InputError(f"--exclude {args.exclude[0]}: a CARMEN log has no topics to exclude")
     if args.out.suffix in (".gz", ".bz2"):
         raise InputError(f"--out {args.out}: bags are written unpacked; leave out {args.out.suffix}")
+    if args.out.suffix == ".bag" and args.storage is not None:
+        raise InputError(f"--storage {args.storage}: does not apply to a ROS 1 bag; remove the option")
+    if _is_log(args.bag):
+        why = "a CARMEN log is converted whole; convert it, then the bag that it becomes"
+        refuse(args, ("exclude", "exclude_frame", "from", "to"), why)
+    start_s, end_s = getattr(args, "from") or 0.0, math.inf if args.to is None else args.to
+    if end_s <= start_s:
+        raise InputError(f"--to {end_s:g}: must be later than --from {start_s:g}")
+    selection = Selection(tuple(args.exclude), tuple(args.exclude_frame), start_s, end_s)
     if args.out.suffix == ".bag":
-        if args.storage is not None:
-            raise InputError(f"--storage {args.storage}: does not apply to a ROS 1 bag; remove the option")
         with staged_file(args.out, force=args.force) as file:
-            count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, exclude=args.exclude)
+            count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, selection)
             convert.require_messages(args.bag, count, notes)
     else:
         out = output(args)
         with out.staged() as folder:
-            count, notes = _to_folder(args, folder / "bag")
+            count, notes = _to_folder(args, folder / "bag", selection)
             convert.require_messages(args.bag, count, notes)
             out.finish(folder, "bag convert", {"bag": args.bag})
     log_notes(notes)
@@ -186,15 +204,15 @@ def _convert(args: argparse.Namespace) -> int:
     return 0
 
 
-def _to_folder(args: argparse.Namespace, folder: Path) -> tuple[int, list[str]]:
+def _to_folder(args: argparse.Namespace, folder: Path, selection: Selection) -> tuple[int, list[str]]:
     from turtlebag.datasets.bags import convert
     from turtlebag.datasets.recordings import load_recording
 
     if args.storage == "sqlite3":
-        return convert.to_sqlite3(_a_bag(args.bag), folder, exclude=args.exclude)
+        return convert.to_sqlite3(_a_bag(args.bag), folder, selection)
     if _is_log(args.bag):
         return convert.carmen_to_mcap(load_recording(args.bag), folder)
-    return convert.to_mcap(args.bag, folder, exclude=args.exclude)
+    return convert.to_mcap(args.bag, folder, selection)
 
 
 def _is_log(path: Path) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import map_files, save_map
 from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.parts import source_files
@@ -22,7 +23,7 @@ from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import save_truth
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
 from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
-from turtlebag.planners.costmap import polygon_mask
+from turtlebag.planners.costmap import area_mask
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
@@ -151,16 +152,18 @@ def _inputs(request: Request) -> dict[str, Path]:
         inputs["waypoints"] = request.waypoints_path
     if request.keepout_path is not None:
         inputs["keepout"] = request.keepout_path
+        if any(isinstance(area, OccupancyGrid) for area in request.keepout or ()):
+            inputs["keepout_image"] = map_files(request.keepout_path)["map_image"]
     return inputs
 
 
 def _refuse_outlines_off(mission: Mission) -> None:
-    """InputError for an outline of --keepout that covers no cell of the map: it would keep out of nothing."""
+    """InputError for an area of --keepout that covers no cell of the map: it would keep out of nothing."""
     if mission.costmap is None or mission.request.keepout_path is None:
         return
-    for number, outline in enumerate(mission.request.keepout or (), start=1):
-        if not polygon_mask(mission.costmap, outline).any():
+    for number, area in enumerate(mission.request.keepout or (), start=1):
+        if not area_mask(mission.costmap, area).any():
             raise InputError(
                 f"--keepout {mission.request.keepout_path}: keepout {number}: lies outside the map "
-                f"{mission.request.map_path}; correct its corners or remove it"
+                f"{mission.request.map_path}; correct it or remove it"
             )
