@@ -192,13 +192,13 @@ class Viewer(CheckedHandler, WebSocketHandler):
         self._written.add_done_callback(lambda written: written.cancelled() or written.exception())
 
 
-def application(studio: Studio, access: Access, ping_s: float) -> Application:
+def application(studio: Studio, access: Access, page: Path, ping_s: float) -> Application:
     """The page, its parts and the socket; everything else is not found, by the same rules."""
     return Application(
         [("/", Page), ("/socket", Viewer, {"studio": studio}), (r"/(.+)", Part)],
         default_handler_class=CheckedHandler,
         access=access,
-        files=page_files(PAGE),
+        files=page_files(page),
         log_function=lambda handler: None,
         websocket_max_message_size=GIANT_BYTES,
         websocket_ping_interval=ping_s,
@@ -213,16 +213,17 @@ async def serve(
     *,
     interrupted: Sequence[int],
     ready: Callable[[], None],
+    page: Path = PAGE,
     ping_s: float = PING_S,
 ) -> None:
     """Run a session for those who open its page, until it ends or something is in `interrupted`.
 
-    `ready` is called when the page can be opened; a page that does not answer for `ping_s` is gone. Raises
-    what went wrong in the session.
+    `ready` is called when the page can be opened, whose files are below the folder `page`; one that does not
+    answer for `ping_s` is gone. Raises what went wrong in the session.
     """
     studio = Studio(session)
     limits = {"max_header_size": 16 * 1024, "max_body_size": 0}
-    server = HTTPServer(application(studio, access, ping_s), idle_connection_timeout=IDLE_S, **limits)
+    server = HTTPServer(application(studio, access, page, ping_s), idle_connection_timeout=IDLE_S, **limits)
     server.add_sockets(sockets)
     studio.thread.start()
     ready()
