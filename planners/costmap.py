@@ -202,8 +202,8 @@ def _grid_mask(costmap: Costmap, area: OccupancyGrid) -> Mask:
     rows, cols = whole.shape
     mask = np.zeros(whole.shape, dtype=bool)
     for first in range(0, rows, BLOCK):
-        cells = np.stack(np.mgrid[first : min(first + BLOCK, rows), 0:cols], axis=-1)
-        mask[first : first + BLOCK] = area.value_at(whole.center_of(cells)) == OCCUPIED
+        block = np.moveaxis(np.mgrid[first : min(first + BLOCK, rows), 0:cols], 0, -1)
+        mask[first : first + BLOCK] = area.value_at(whole.center_of(block)) == OCCUPIED
     cells = whole.cell_of(area.center_of(np.argwhere(area.cells == OCCUPIED)))
     inside = cells[whole.contains(cells)]
     mask[inside[:, 0], inside[:, 1]] = True

@@ -26,7 +26,7 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
 from turtlebag.datasets.types import Trajectory
-from turtlebag.datasets.yaml_files import checked, plain_values
+from turtlebag.datasets.yaml_files import checked, read_mapping
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
 # Files that tie stages together when their hashes agree; a shared config proves nothing.
@@ -89,10 +89,9 @@ class Stage:
 
     @cached_property
     def config(self) -> Mapping[str, Any]:
-        """Its resolved configuration, empty when it left none."""
+        """Its resolved configuration, empty when it left none; InputError when it cannot be read."""
         path = self.folder / "config.yaml"
-        data = plain_values(path.read_text()) if path.is_file() else {}
-        return data if isinstance(data, dict) else {}
+        return read_mapping(path) if path.is_file() else {}
 
     @cached_property
     def metrics(self) -> Mapping[str, Any]:

@@ -112,12 +112,12 @@ class _Reader:
             pose = state[name] if name in state else self._pose(model)
             yield from self._of_model(model, base @ pose, depth)
         for include in parent.findall("include"):
-            model = self._included(_uri(include))
-            if model is None:
+            found = self._included(_uri(include))
+            if found is None:
                 continue
-            pose = self._pose(include) if include.find("pose") is not None else self._pose(model)
+            pose = self._pose(include) if include.find("pose") is not None else self._pose(found)
             pose = state.get(include.findtext("name") or "", pose)
-            yield from self._of_model(model, base @ pose, depth)
+            yield from self._of_model(found, base @ pose, depth)
 
     def _of_model(
         self, model: ET.Element, transform: Array, depth: int

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
+import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
@@ -54,7 +55,8 @@ class Bag:
         self.path, self.kind, self.files, self.notes = path, kind, files, notes
         self._custom = dict(custom or {})
         self._packed = packed_messages
-        self._keep = keep  # the folder of unpacked files lives as long as the bag
+        if keep is not None:  # the folder of unpacked files lives as long as the bag
+            weakref.finalize(self, keep.cleanup)
         self._before = {file: signatures(file) for file in files}
 
     def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:

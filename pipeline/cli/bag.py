@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.cli.arguments import output, positive, refuse, seconds
 from turtlebag.pipeline.cli.parser import Parser, add_action
-from turtlebag.pipeline.terminal.messages import log, log_notes, print_table
+from turtlebag.pipeline.terminal.messages import log, log_notes, print_table, say
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
@@ -43,7 +42,7 @@ def add_arguments(parser: Parser) -> None:
     sub = action(
         "play",
         _play,
-        "play a recording in the terminal: clock, speeds, scan and path",
+        "play a recording as lines of text: clock, pose, speeds, nearest reading",
         "turtlebag bag play data/record --rate 4",
     )
     text = "playback speed (default: 1, the speed of the recording)"
@@ -73,10 +72,6 @@ def add_arguments(parser: Parser) -> None:
     sub.option("--to", "S", text, seconds)
 
 
-STATUS_ROWS = 3
-"""The text below a player's drawing takes two lines of a narrow terminal, and the cursor one."""
-
-
 def _info(args: argparse.Namespace) -> int:
     from turtlebag.datasets.bags.reader import bag_info
 
@@ -92,21 +87,21 @@ def _info(args: argparse.Namespace) -> int:
 def _print_log(log_read: Recording) -> None:
     lidar, (x, y, yaw) = log_read.lidar, log_read.T_base_lidar.xyt.tolist()
     first, last = math.degrees(lidar.angles[0]), math.degrees(lidar.angles[-1])
-    print(f"{log_read.source}  (CARMEN log)")
-    print(f"{len(log_read)} scans, {log_read.duration():.2f} s, one every {lidar.scan_time:.3f} s")
-    print(f"{lidar.n_beams} beams from {first:.1f} to {last:.1f} degrees, up to {lidar.range_max:g} m")
-    print(f"laser at x {x:g} m, y {y:g} m, yaw {yaw:g} rad on the robot")
+    say(f"{log_read.source}  (CARMEN log)")
+    say(f"{len(log_read)} scans, {log_read.duration():.2f} s, one every {lidar.scan_time:.3f} s")
+    say(f"{lidar.n_beams} beams from {first:.1f} to {last:.1f} degrees, up to {lidar.range_max:g} m")
+    say(f"laser at x {x:g} m, y {y:g} m, yaw {yaw:g} rad on the robot")
     log_notes(log_read.notes)
 
 
 def _print_info(info: BagInfo) -> None:
-    print(f"{info.path}  ({info.kind}, {counted(len(info.files), 'file')})")
-    print(
+    say(f"{info.path}  ({info.kind}, {counted(len(info.files), 'file')})")
+    say(
         f"{info.count} messages, {info.duration():.2f} s, "
         f"from {info.start_ns * 1e-9:.3f} to {info.end_ns * 1e-9:.3f} s"
     )
     if info.custom:
-        print(", ".join(f"{key} {value}" for key, value in info.custom.items()))
+        say(", ".join(f"{key} {value}" for key, value in info.custom.items()))
     rows = [("topic", "type", "messages", "rate, Hz", "longest gap, s")]
     for topic in info.topics:
         rate = f"{topic.rate_hz():.2f}" if topic.count > 1 else "-"
@@ -121,35 +116,21 @@ def _doctor(args: argparse.Namespace) -> int:
 
     findings = examine(args.bag)
     for finding in findings:
-        print(f"{finding.severity}: {finding.check}: {finding.what}")
-        print(f"    breaks: {finding.breaks}")
+        say(f"{finding.severity}: {finding.check}: {finding.what}")
+        say(f"    breaks: {finding.breaks}")
     errors = sum(finding.severity == "error" for finding in findings)
     warnings = counted(len(findings) - errors, "warning")
-    print(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
+    say(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
     return 1 if errors else 0
 
 
 def _play(args: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.live import Live
-    from rich.text import Text
-
-    from turtlebag.pipeline.terminal.braille import terminal_size
     from turtlebag.pipeline.terminal.play import Player, play
 
-    columns, rows = terminal_size()
-    player = Player(args.bag, (max(columns - 1, 1), max(rows - STATUS_ROWS, 1)))
+    player = Player(args.bag)
     log_notes(player.recording.notes)
-    if not sys.stdout.isatty():  # a log line each second instead of a moving picture
-        play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / args.rate)
-        return 0
-    with Live(console=Console(highlight=False), auto_refresh=False) as live:
-        play(
-            player,
-            lambda frame: live.update(Text(f"{frame.drawing}\n{frame.status}"), refresh=True),
-            rate=args.rate,
-            every_s=0.1,
-        )
+    # A line each recorded second.
+    play(player, lambda frame: print(frame.status, flush=True), rate=args.rate, every_s=1.0 / args.rate)
     return 0
 
 

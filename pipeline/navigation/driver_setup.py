@@ -89,6 +89,8 @@ def prepare(
     """
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
+    if request.timeout_s is not None and request.timeout_s > LONGEST_S:
+        raise InputError(f"--timeout {request.timeout_s:g}: at most {LONGEST_S:g} s")
     config = config.model_copy(update={"sim": config.sim.resolved(robot)})
     if isinstance(request.teleop_override, Path):
         load_script(request.teleop_override)
@@ -152,7 +154,7 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     if request.task == "goal":
         changes.update(SINGLE_GOAL)
     if request.timeout_s is not None:
-        changes["timeout"] = min(request.timeout_s, LONGEST_S)
+        changes["timeout"] = request.timeout_s
     if request.laps is not None:
         changes["laps"] = request.laps
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})

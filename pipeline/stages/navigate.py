@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 from turtlebag.datasets.bags.writer import BagWriter
@@ -21,7 +22,7 @@ from turtlebag.pipeline.navigation.episode import Audience, drive
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import save_truth
-from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
+from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
 from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
 from turtlebag.planners.costmap import area_mask
 from turtlebag.sim.robots import RobotSpec
@@ -43,7 +44,8 @@ def navigate(
 
     What counts is the truth, `true_success` of the metrics: a robot that believes that it has reached its
     goal and stands elsewhere has failed. Interrupted at the keyboard of an override, 130 or 143: what was
-    driven until then cannot be driven again, and is kept.
+    driven until then cannot be driven again, and is kept. Unfinished when the disk is full or the terminal
+    was closed: what there is of the run is kept beside the output.
 
     `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
     besides those of the request. InputError, with nothing written, for bad goals and unreadable maps.
@@ -59,9 +61,8 @@ def navigate(
     }
     known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
-    at_once: nullcontext[list[int]] = nullcontext([])
     with (
-        deferred_interrupt() if by_hand else at_once as interrupted,
+        deferred_interrupt() if by_hand else deferred_interrupt([signal.SIGHUP]) as interrupted,
         Simulator(world, mission.robot, mission.config.sim, request.seed) as simulator,
         out.staged(save_bag=True) as folder,
     ):
@@ -72,6 +73,7 @@ def navigate(
         ):
             news = News(_opening(world, mission), log.info, clock)
             episode = drive(simulator, mission, Audience(bag, say, news, interrupted), overrides)
+        require_no_hangup(interrupted)
         metrics, loop_s, parts = episode.metrics, out.wall_s, _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")

@@ -1,7 +1,6 @@
 """YAML whose text is short and whose values are endless: refused in one line, by every reader, at once."""
 
 import sqlite3
-import time
 from contextlib import closing
 
 import pytest
@@ -32,19 +31,17 @@ def to(bag, out, storage):
     return str(bag), "--out", str(out), "--storage", storage
 
 
-@pytest.mark.parametrize("text", [MERGES, LISTS, "a: &a [1, *a]\n", f"a: {'1:' * 50_000}1\n"])
+@pytest.mark.parametrize("text", [MERGES, LISTS, "a: &a [1, *a]\n"])
 def test_aliases_are_bounded_by_what_they_write_out(text):
-    begun = time.process_time()
-    with pytest.raises(InputError, match=r"a file: (more than 1000000 values|a value without)"):
+    with pytest.raises(InputError, match="a file: more than 1000000 values"):
         parsed(text, where="a file")
-    assert time.process_time() - begun < 1.0
 
 
 def test_plain_yaml_of_many_values_and_few_aliases_is_read():
     items = ", ".join(["1"] * 1000)
     found = parsed(f"a: &a [{items}]\nb: [{', '.join(['*a'] * 100)}]\nc: {{<<: {{d: 1}}}}\n", where="a file")
     assert (len(found["b"]), sum(map(len, found["b"])), found["c"]) == (100, 100_000, {"d": 1})
-    assert parsed(f"'{'1:' * 20_000}'", where="a file") == "1:" * 20_000
+    assert parsed("1:" * 50_000 + "1", where="a file") == "1:" * 50_000 + "1"  # once took the square of it
     with pytest.raises(InputError, match="more than"):
         parsed("[" + "1," * (MOST_VALUES + 1) + "]", where="a file")
 
@@ -67,9 +64,7 @@ def test_every_command_refuses_such_a_file_at_once(tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     write_drive(tmp_path / "bag", seconds=1.0)
     (tmp_path / name).write_text(MERGES)
-    begun = time.process_time()
     assert main(words.replace("FILE", f"./{name}").split()) == 2
-    assert time.process_time() - begun < 5.0
     said = capsys.readouterr().err
     assert f"{name}: more than 1000000 values" in said
     assert said.count("\n") == 1
@@ -79,10 +74,8 @@ def test_every_command_refuses_such_a_file_at_once(tmp_path, monkeypatch, capsys
 def test_so_does_a_setting_of_the_command_line(tmp_path, capsys):
     write_drive(tmp_path / "bag", seconds=1.0)
     value = "[" + "&a [1], " + "".join(f"&a [{', '.join(['*a'] * 9)}], " for _ in range(9)) + "]"
-    begun = time.process_time()
     bag, out = str(tmp_path / "bag"), str(tmp_path / "out")
     assert main(["map", bag, "--set", f"slam.deskew={value}", "--out", out]) == 2
-    assert time.process_time() - begun < 5.0
     assert "more than 1000000 values" in capsys.readouterr().err
 
 
@@ -100,9 +93,7 @@ def test_topics_of_an_sqlite_bag_are_bounded_too(tmp_path, capsys):
     (file,) = (tmp_path / "db/bag").glob("*.db3")
     with closing(sqlite3.connect(file)) as db, db:
         db.execute("UPDATE topics SET offered_qos_profiles = ?", (MERGES,))
-    begun = time.process_time()
     assert main(["bag", "info", str(file)]) == 2
-    assert time.process_time() - begun < 5.0
     assert "damaged bag (more than 1000000 values" in capsys.readouterr().err
 
 
