@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants pytest study-advice study-ablation study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -137,6 +137,17 @@ bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question 
 
 mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)
 	$(PY) -m tests.mutants --seed $(SEED) $(if $(N),--count $(N))
+
+# Kernels are measured where they run as plain Python: in the tests that compare them with a reference.
+KERNEL_TESTS := $(wildcard tests/*/test_*_kernels.py) tests/slam/test_slam_lines.py
+COVERAGE = OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(PY) -m coverage run -m pytest
+coverage: $(READY) ## lines and branches that the tests reach, by file, also in data/coverage/table.txt
+	rm -rf data/coverage && mkdir -p data/coverage
+	-$(COVERAGE) -n 3 --dist loadfile --no-loadscope-reorder
+	-NUMBA_DISABLE_JIT=1 $(COVERAGE) $(KERNEL_TESTS)
+	$(PY) -m coverage combine --quiet
+	$(PY) -m coverage report > data/coverage/table.txt
+	cat data/coverage/table.txt
 
 study-advice study-ablation study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*
