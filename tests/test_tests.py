@@ -62,9 +62,6 @@ def replaced_inside(source: str) -> list[int]:
 ALLOWED: dict[str, int] = {
     "benchmarks/test_slam_campaign.py": 6,
     "conftest.py": 2,
-    "navigation/test_disambiguation.py": 5,
-    "navigation/test_relocalisation.py": 3,
-    "navigation/test_teleop_override.py": 1,
     "sim/test_sim_physics.py": 3,
     "slam/test_slam_explain.py": 1,
     "slam/test_slam_formulas.py": 1,
