@@ -60,9 +60,7 @@ def replaced_inside(source: str) -> list[int]:
 
 
 ALLOWED: dict[str, int] = {
-    "benchmarks/test_slam_campaign.py": 6,
     "conftest.py": 2,
-    "sim/test_sim_physics.py": 3,
     "slam/test_slam_explain.py": 1,
     "slam/test_slam_formulas.py": 1,
     "slam/test_slam_graph_file.py": 1,
