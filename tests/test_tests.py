@@ -61,19 +61,6 @@ def replaced_inside(source: str) -> list[int]:
 
 ALLOWED: dict[str, int] = {
     "conftest.py": 2,
-    "slam/test_slam_explain.py": 1,
-    "slam/test_slam_formulas.py": 1,
-    "slam/test_slam_graph_file.py": 1,
-    "slam/test_slam_grid.py": 1,
-    "slam/test_slam_mapper.py": 3,
-    "slam/test_slam_memory.py": 6,
-    "slam/test_slam_mounting.py": 2,
-    "slam/test_slam_place_recognition.py": 7,
-    "slam/test_slam_selfcheck.py": 1,
-    "slam/test_slam_track_breaks.py": 1,
-    "slam/test_slam_turns.py": 1,
-    "slam/test_slam_uncertainty.py": 2,
-    "slam3d/test_slam3d_parts.py": 1,
     # the other rooms
     "cli/test_fuzz.py": 5,
     "cli/test_install.py": 1,
