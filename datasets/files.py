@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import bz2
+import hashlib
 import os
 import stat
+import weakref
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -26,8 +28,16 @@ CHUNK_RATIO = 1000
 """A chunk of a bag may be this many times its packed size where it is not harmless: empty pictures are."""
 CHUNK_BYTES = 1 << 30
 """Most that one chunk may hold, and all chunks of a file too that is not a `CHUNK_RATIO`th of it."""
+JUNK = (".DS_Store", "Thumbs.db")
+"""Files that file managers leave in folders that somebody looks at: nobody's input and nobody's output."""
 _PIECE = 1 << 20
 _MOST_FILES = 100_000
+
+
+def sha256_file(path: Path) -> str:
+    """Hex sha256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 Signature = tuple[int, int, int, int]
@@ -40,7 +50,7 @@ def signatures(path: Path) -> dict[Path, Signature]:
     InputError for a pipe or a device, which a reader would wait for, and for a folder of too many files.
     """
     found = {}
-    below = (Path(place, name) for place, _, names in os.walk(path) for name in names)
+    below = (Path(place, name) for place, _, names in os.walk(path) for name in names if name not in JUNK)
     for file in below if path.is_dir() else (path,):
         try:
             status = file.stat()
@@ -89,11 +99,12 @@ def opened_plain(path: Path) -> BinaryIO:
 
 class FileBytes:
     """The bytes of a file, sliced as a `bytes` object is and read on demand. Unlike with a memory map, a file
-    that is truncated meanwhile is an InputError, not a crash."""
+    that is truncated meanwhile is an InputError, not a crash. Open as long as the object lives."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file = opened_plain(path)
+        weakref.finalize(self, self._file.close)
         self._size = os.fstat(self._file.fileno()).st_size
         self._start, self._window = 0, b""
         if not self._size:

@@ -13,6 +13,7 @@ import os
 import stat
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cached_property
@@ -22,8 +23,19 @@ from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 import llvmlite
-import numba
 import numpy as np
+
+from turtlebag.datasets.errors import InputError
+
+with warnings.catch_warnings():
+    # Of a variable that it cannot parse it would warn in ten lines and go on without.
+    warnings.filterwarnings("error", "Environment variable", RuntimeWarning)
+    try:
+        import numba
+    except (RuntimeWarning, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"numba: {reason} (set by a variable NUMBA_* of the environment)") from None
+
 from numba.core.caching import IndexDataCacheFile, _Cache
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher

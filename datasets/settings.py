@@ -18,3 +18,5 @@ class Settings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     RENAMED: ClassVar[Mapping[str, str]] = {}
     """Present names of keys by their former ones, for the error that a former one is."""
+    REMOVED: ClassVar[Mapping[str, str]] = {}
+    """Keys that earlier versions had, and what to say of each: a file may still have them (see `checked`)."""

@@ -6,7 +6,9 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
+import yaml
 from rosbags.interfaces.typing import Typesdict
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
@@ -14,10 +16,14 @@ from rosbags.typesys.store import Typestore
 
 from turtlebag.datasets.bags.folder import BagFolder
 from turtlebag.datasets.bags.message import Message, Topic
-from turtlebag.datasets.bags.topics import definition, typestore
+from turtlebag.datasets.bags.topics import definition, qos_profiles, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
+
+
+DAMAGED = (SerdeError, struct.error, ValueError, IndexError, OverflowError)
+"""What rosbags raises for a message that is not as its definition says."""
 
 
 class Untranslatable(ValueError):
@@ -77,6 +83,7 @@ def to_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     return renamed, lambda data: bytes(store.ros1_to_cdr(data, source))
 
 
+@lru_cache(maxsize=256)
 def as_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     """A topic of either layout as ROS 2 has it, with its definition, and the translation of its messages."""
     translate: Callable[[bytes], bytes] = bytes
@@ -112,6 +119,7 @@ class Copier:
         self._writers: dict[Topic, Write | None] = {}
         self._skipped: dict[str, str] = {}
         self._damaged: Counter[str] = Counter()
+        self._no_qos: list[str] = []
         self.count = 0
 
     def write(self, message: Message) -> None:
@@ -124,12 +132,17 @@ class Copier:
             return
         try:
             write(message)
-        except (SerdeError, struct.error, ValueError, IndexError, OverflowError):
+        except DAMAGED:
             self._damaged[topic.name] += 1
         else:
             self.count += 1
 
     def _writer(self, topic: Topic) -> Write | None:
+        try:
+            qos_profiles(topic.qos)
+        except (ValueError, yaml.YAMLError):
+            self._no_qos.append(topic.name)
+            topic = replace(topic, qos="")
         try:
             return self._register(topic)
         except Untranslatable as error:
@@ -142,6 +155,7 @@ class Copier:
         """What was left out."""
         return [
             *(f"skipped {text}" for text in self._skipped.values()),
+            *(f"{name}: its quality of service cannot be read and is left out" for name in self._no_qos),
             *(f"{name}: {count} damaged messages left out" for name, count in self._damaged.items()),
         ]
 

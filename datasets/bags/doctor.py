@@ -18,7 +18,7 @@ from turtlebag.datasets.bags.plausibility import (
     stands_still,
 )
 from turtlebag.datasets.bags.survey import Finding, Survey, TopicSurvey, survey
-from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
+from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS, way_out
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps
@@ -45,7 +45,8 @@ def _file(found: Survey) -> Iterator[Finding]:
 
 def _missing_topics(found: Survey) -> Iterator[Finding]:
     if not found.of_type(SCAN):
-        what = "no LaserScan topic"
+        other = way_out({name: topic.topic.msgtype for name, topic in found.topics.items()})
+        what = f"no LaserScan topic; {other}" if other else "no LaserScan topic"
         yield Finding("error", "no scans", what, "there is nothing to map or localise with")
     moving = any(parent == "odom" for parent, _ in found.link_stamps)
     if not found.of_type(ODOMETRY) and not moving:

@@ -12,7 +12,7 @@ from turtlebag.datasets.bags.plausibility import stands_still
 from turtlebag.datasets.bags.scans import TURNED_OVER, assemble, turned_over
 from turtlebag.datasets.bags.source import Bag
 from turtlebag.datasets.bags.streams import Streams
-from turtlebag.datasets.bags.topics import CLOUD, SCAN
+from turtlebag.datasets.bags.topics import CLOUD, SCAN, way_out
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording, Stamps
@@ -93,8 +93,8 @@ def _scan_topic(streams: Streams, wanted: str | None) -> str:
     why = next((note for note in streams.bag.notes if "damaged" in note or "cut off" in note), None)
     if why:
         raise InputError(f"{path}: no /scan could be read: {why}")
-    topics = ", ".join(sorted(streams.seen)[:12]) or "none"
-    message = f"{path}: no /scan (sensor_msgs/LaserScan) messages in this bag; its topics: {topics}"
+    topics = way_out(streams.seen) or f"its topics: {', '.join(sorted(streams.seen)[:12]) or 'none'}"
+    message = f"{path}: no /scan (sensor_msgs/LaserScan) messages in this bag; {topics}"
     raise NoScans(message, [name for name, msgtype in streams.seen.items() if msgtype == CLOUD])
 
 
@@ -105,8 +105,9 @@ def _wanted_topic(streams: Streams, wanted: str) -> str:
     found = "not in this bag" if msgtype is None else f"of type {msgtype}"
     if msgtype == SCAN:
         found = "without a readable message"
-    topics = ", ".join(sorted(streams.seen)[:12]) or "none"
-    message = f"{streams.bag.path}: --topic {wanted} is {found}; its topics: {topics}"
+    topics = f"its topics: {', '.join(sorted(streams.seen)[:12]) or 'none'}"
+    told = way_out({wanted: msgtype} if msgtype is not None else {}) or topics
+    message = f"{streams.bag.path}: --topic {wanted} is {found}; {told}"
     raise NoScans(message, [wanted] if msgtype == CLOUD else [])
 
 

@@ -10,12 +10,15 @@ import numpy as np
 
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.plausibility import ARM_M, CLOCK_NS, FAR_M, driven_in_millimetres, stands_still
-from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.bags.streams import OdometryColumns, Streams
 from turtlebag.datasets.bags.tf_frames import BASES, FrameTree
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory
+
+_DRIVEN = (0.1, 0.1, 0.2)
+"""Twists that lead farther than this [m, m, rad] are of a robot that drives, not of noise."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,7 +43,8 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
                 left = ", ".join(f"{count} of {link}" for link, count in columns.others.items())
                 notes.append(f"{chosen}: poses of several frames; {left} left out")
             base = columns.child or streams.frames.base()
-            return _source(base, columns.stamps_ns, columns.log_times_ns, columns.xyt, chosen, notes)
+            xyt = _filled_in(columns, chosen, notes)
+            return _source(base, columns.stamps_ns, columns.log_times_ns, xyt, chosen, notes)
     if len(names) > 1:
         notes.append(f"several odometry topics and no /odom ({', '.join(names)}): /tf is used")
     streams.follow_tf()
@@ -58,6 +62,43 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
         return _source(child, stamps, times, rows, "/tf", notes)
     notes.append("no odometry: neither an Odometry topic nor odom -> base in /tf")
     return OdometrySource(frames.base())
+
+
+def _filled_in(columns: OdometryColumns, name: str, notes: list[str]) -> Array:
+    """The poses (n, 3); where a driver fills in its twists alone, those that they lead to."""
+    if not never_changes(columns.xyt):
+        return columns.xyt
+    start = SE2.from_array(np.nan_to_num(columns.xyt[0]))
+    xyt = integrated(running(columns.stamps_ns, columns.log_times_ns, name, []), columns.twists, start)
+    if not (np.abs(xyt - start.xyt) > _DRIVEN).any():
+        return columns.xyt
+    notes.append(f"{name}: the pose never changes but the twist does: the path is integrated from the twist")
+    return xyt
+
+
+def never_changes(xyt: Array) -> bool:
+    """Whether all poses (n, 3) are one, as those that a driver does not fill in."""
+    return np.array_equal(xyt, np.broadcast_to(xyt[0], xyt.shape), equal_nan=True)
+
+
+def integrated(stamps: Stamps, twists: Array, start: SE2) -> Array:
+    """Poses (n, 3) that twists (n, 3) [m/s, m/s, rad/s] lead to from `start` on, in the order of the input.
+
+    Each step is taken with the mean of the twists at its ends, in the direction halfway; absurd ones
+    and those that are no numbers count as 0.
+    """
+    order = np.argsort(stamps, kind="stable")
+    speeds = np.where(np.abs(twists[order]) < FAR_M, twists[order], 0.0)
+    steps = 0.5 * (speeds[1:] + speeds[:-1]) * (np.diff(stamps[order]) * 1e-9)[:, None]
+    turned = np.cumsum(steps[:, 2])
+    halfway = turned - 0.5 * steps[:, 2]
+    dx = steps[:, 0] * np.cos(halfway) - steps[:, 1] * np.sin(halfway)
+    dy = steps[:, 0] * np.sin(halfway) + steps[:, 1] * np.cos(halfway)
+    path = np.zeros((len(stamps), 3))
+    path[1:] = np.column_stack([np.cumsum(dx), np.cumsum(dy), turned])
+    xyt = np.empty_like(path)
+    xyt[order] = (start @ SE2.from_array(path)).xyt
+    return xyt
 
 
 def _source(

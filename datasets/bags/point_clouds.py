@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +16,7 @@ from turtlebag.datasets.bags.decode import BadMessage, Cursor
 from turtlebag.datasets.bags.odometry import find_odometry, in_file_order, odometry_at, sensor_matrix
 from turtlebag.datasets.bags.source import Bag, open_bag
 from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.bags.topics import way_out
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Cloud, Recording3D
@@ -129,7 +130,7 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
         index.frames[cloud.frame] += 1
 
     streams = Streams(bag, note_cloud=note)
-    chosen = _chosen_topic(path, list(found), topic)
+    chosen = _chosen_topic(path, list(found), topic, streams.seen)
     index = found[chosen]
     if not index.stamps:
         raise InputError(f"{path}: {chosen}: no point cloud could be decoded")
@@ -163,7 +164,7 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
     )
 
 
-def _chosen_topic(path: Path, names: list[str], wanted: str | None) -> str:
+def _chosen_topic(path: Path, names: list[str], wanted: str | None, seen: Mapping[str, str]) -> str:
     if wanted in names:
         return str(wanted)
     if wanted is None and len(names) == 1:
@@ -172,4 +173,5 @@ def _chosen_topic(path: Path, names: list[str], wanted: str | None) -> str:
     if wanted is None and names:
         raise InputError(f"{path}: several point cloud topics; choose one with --topic: {listed}")
     missing = wanted or "point cloud topic"
-    raise InputError(f"{path}: no {missing} (sensor_msgs/PointCloud2) in this bag; it has: {listed}")
+    told = way_out(seen) or f"it has: {listed}"
+    raise InputError(f"{path}: no {missing} (sensor_msgs/PointCloud2) in this bag; {told}")

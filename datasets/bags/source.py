@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
+import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
@@ -29,6 +31,7 @@ from turtlebag.datasets.files import (
 from turtlebag.datasets.yaml_files import plain_values
 
 MAGICS = {MAGIC: "mcap", b"SQLite format 3\0": "sqlite3", ROS1_MAGIC: "ros1"}
+_OLD_ROS1 = re.compile(rb"#ROS(?:RECORD|LOG) V(\d\.\d)")
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 LOGS, PACKED = (".clf", ".log"), (".gz", ".bz2")
 """Endings of CARMEN logs, and what may follow the ending of a bag or log."""
@@ -52,7 +55,8 @@ class Bag:
         self.path, self.kind, self.files, self.notes = path, kind, files, notes
         self._custom = dict(custom or {})
         self._packed = packed_messages
-        self._keep = keep  # the folder of unpacked files lives as long as the bag
+        if keep is not None:  # the folder of unpacked files lives as long as the bag
+            weakref.finalize(self, keep.cleanup)
         self._before = {file: signatures(file) for file in files}
 
     def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:
@@ -110,10 +114,20 @@ def _kind_of(path: Path) -> str | None:
         head = file.read(16)
     if not head:
         raise InputError(f"{path}: the file is empty")
-    return _kind_by(head)
+    return _kind_by(head, path)
 
 
-def _kind_by(head: bytes) -> str | None:
+def _kind_by(head: bytes, path: Path) -> str | None:
+    if old := _OLD_ROS1.match(head):
+        version = old[1].decode()
+        way = (
+            "ROS 1's `rosbag reindex` converts it to version 2.0"
+            if version == "1.2"
+            else ("ROS 1's own rosbag refuses it too; only a ROS release of its time can convert it")
+        )
+        raise InputError(
+            f"{path}: a ROS 1 bag of version {version}, older than the 2.0 that is read here; {way}"
+        )
     return next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), None)
 
 
@@ -124,7 +138,7 @@ def is_bag(path: Path) -> bool:
 
 def _open_packed(path: Path) -> Bag:
     content, problem = read_unpacked(path)
-    kind = _kind_by(content)
+    kind = _kind_by(content, path)
     if kind is None:
         if PurePosixPath(path.name.lower()).suffix in SUFFIXES:
             raise InputError(f"{path}: damaged bag, its first bytes are not those of any bag format")
@@ -144,7 +158,7 @@ def _open_folder(path: Path) -> Bag:
         except OSError as error:
             # Nothing is wrong with the bag: who may not read it is told so, once, before any work.
             raise InputError(f"{folder / METADATA_FILE}: cannot be read ({error.strerror})") from None
-        except (KeyError, TypeError, ValueError, AttributeError, RecursionError, yaml.YAMLError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
             notes.append(f"{METADATA_FILE} cannot be used ({one_line(error)}); reading the files beside it")
     for suffix, kind in SUFFIXES.items():
         files = sorted(folder.glob("*" + suffix), key=lambda file: (len(file.name), file.name))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.message import Message, Topic, Wanted, full_type
 from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
-from turtlebag.datasets.bags.topics import metadata_text
+from turtlebag.datasets.bags.topics import metadata_text, qos_profiles
 from turtlebag.datasets.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ def _sqlite3_messages(path: Path, wanted: Wanted | None, notes: list[str]) -> It
 
     count = 0
     try:
+        _require_readable_qos(path)
         with Reader(path) as reader:
             topics = {connection.id: _sqlite3_topic(connection) for connection in reader.connections}
             chosen = [c for c in reader.connections if wanted is None or wanted(topics[c.id])]
@@ -55,6 +58,15 @@ def _sqlite3_messages(path: Path, wanted: Wanted | None, notes: list[str]) -> It
             page = int.from_bytes(file.read(18)[16:], "big")
         if path.stat().st_size % (page if page > 1 else 1 << 16):  # SQLite takes what is missing for zeros
             notes.append(f"{path.name}: cut off inside its last page: messages may be missing or damaged")
+
+
+def _require_readable_qos(path: Path) -> None:
+    """yaml.YAMLError or ValueError unless rosbags, which reads it without a bound, can read what the topics
+    offer."""
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as file:
+        if any(column[1] == "offered_qos_profiles" for column in file.execute("PRAGMA table_info(topics)")):
+            for (qos,) in file.execute("SELECT offered_qos_profiles FROM topics"):
+                qos_profiles(qos)
 
 
 def one_line(error: Exception) -> str:

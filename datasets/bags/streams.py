@@ -24,7 +24,8 @@ Raw = list[tuple[int, bytes]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdometryColumns:
-    """nav_msgs/Odometry of one topic: stamps and log times (n,), planar poses (n, 3) and the child frame.
+    """nav_msgs/Odometry of one topic: stamps and log times (n,), planar poses (n, 3), twists (n, 3) of the
+    child frame [m/s, m/s, rad/s] and its name.
 
     If several robots or nodes write to it, only the most frequent frames are kept; `others` counts the rest
     by frame.
@@ -33,6 +34,7 @@ class OdometryColumns:
     stamps_ns: Stamps
     log_times_ns: Stamps
     xyt: Array
+    twists: Array
     child: str
     others: dict[str, int]
 
@@ -107,6 +109,7 @@ class Streams:
             np.array([pose.stamp_ns for _, pose in ours], dtype=np.int64),
             np.array([time for time, _ in ours], dtype=np.int64),
             np.column_stack([rows[:, :2], decode.yaws_of(rows[:, 2:])]),
+            np.array([pose.twist for _, pose in ours]).reshape(-1, 3),
             main[1],
             {f"{parent} -> {child}": count for (parent, child), count in rest},
         )

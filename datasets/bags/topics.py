@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from turtlebag.datasets.yaml_files import DUMPER, LOADER
+from turtlebag.datasets.yaml_files import DUMPER, plain_values
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -28,6 +28,34 @@ SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sen
 CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAPPED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 """Types that mapping reads, apart from point clouds."""
+
+_LIVOX = "livox_to_pointcloud2", CLOUD
+_OUSTER = "os_cloud of ouster_ros (its replay launch file)", CLOUD
+CONVERTERS = {
+    "livox_ros_driver/msg/CustomMsg": _LIVOX,
+    "livox_ros_driver2/msg/CustomMsg": _LIVOX,
+    "livox_interfaces/msg/CustomMsg": _LIVOX,
+    "velodyne_msgs/msg/VelodyneScan": (
+        "velodyne_transform_node (ROS 1: cloud_nodelet) of velodyne_pointcloud",
+        CLOUD,
+    ),
+    "ouster_ros/msg/PacketMsg": _OUSTER,
+    "ouster_sensor_msgs/msg/PacketMsg": _OUSTER,
+    "sensor_msgs/msg/MultiEchoLaserScan": ("laser_proc", SCAN),
+}
+"""Types of lidar drivers that are not read, the ROS node that converts each, and to what."""
+
+
+def way_out(types: Mapping[str, str]) -> str:
+    """What converts the topics (name: type) of lidars in types that are not read; empty without any."""
+    lines = []
+    for name, msgtype in sorted(types.items()):
+        if msgtype in CONVERTERS:
+            node, made = CONVERTERS[msgtype]
+            kind, cloud = (text.replace("/msg/", "/") for text in (msgtype, made))
+            way = f"play the bag through the ROS node {node} and record the {cloud} that it publishes"
+            lines.append(f"{name} is {kind}, which is not read: {way}")
+    return "; ".join(lines)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +119,15 @@ def definition(msgtype: str) -> tuple[str, str]:
     return text, store.hash_rihs01(msgtype)
 
 
+def qos_profiles(qos: str) -> list[dict[str, Any]]:
+    """Qualities of service from the YAML that a bag records of a topic, maybe empty; yaml.YAMLError or
+    ValueError when it holds anything else."""
+    profiles = plain_values(qos) or []
+    if not (isinstance(profiles, list) and all(isinstance(one, dict) for one in profiles)):
+        raise ValueError("not a list of profiles")
+    return profiles
+
+
 def bag_metadata(
     topics: Sequence[tuple[str, str, str, str]],
     counts: Sequence[int],
@@ -115,7 +152,7 @@ def bag_metadata(
                     "name": name,
                     "type": msgtype,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": yaml.load(qos, Loader=LOADER) or [] if qos else [],
+                    "offered_qos_profiles": qos_profiles(qos),
                     "type_description_hash": type_hash,
                 },
                 "message_count": count,

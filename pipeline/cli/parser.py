@@ -18,6 +18,10 @@ RENAMED = {
     **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
 }
 """Present names of verbs and options by their former ones, for the error that a former one is."""
+REMOVED: dict[str, str] = {
+    "teleop --view": "turtlebag studio shows the scan and the map while you drive",
+}
+"""What to use in place of verbs and options that are gone; an option as `verb --option`."""
 
 
 class OrOwn(tuple[str, ...]):
@@ -51,6 +55,8 @@ class Parser(argparse.ArgumentParser):
 
     def _report(self, unknown: list[str]) -> NoReturn:
         for old in [word.partition("=")[0] for word in unknown]:
+            if instead := REMOVED.get(f"{self.prog} {old}".removeprefix("turtlebag ")):
+                self.error(f"{old} is gone; {instead}")
             if RENAMED.get(old) in self._option_string_actions:
                 self.error(f"{old} is now called {RENAMED[old]}")
         near = get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, 1)
@@ -82,7 +88,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """--out and --force."""
         self.option("--out", what, text, Path, required=required)
-        self.flag("--force", "replace --out if it exists")
+        self.flag("--force", "replace --out if it is an output of ours that nobody has changed")
 
     def add_config(self) -> None:
         """--config and --set."""

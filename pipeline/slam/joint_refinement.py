@@ -47,7 +47,7 @@ RADIUS_M, ALIKE = 4.0, 2
 class RefineConfig(Settings):
     """The joint refinement."""
 
-    rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0: no refinement")
+    rounds: int = Field(default=5, ge=0, le=100, description="linearise-and-solve rounds; 0: no refinement")
 
 
 def refine(

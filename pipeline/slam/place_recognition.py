@@ -59,7 +59,7 @@ class PlaceRecognitionConfig(Settings):
     """Place recognition."""
 
     enabled: bool = True
-    candidates: int = Field(default=12, gt=0, description="number of most similar submaps to compare")
+    candidates: int = Field(default=12, gt=0, le=1000, description="most similar submaps to compare")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
 

@@ -1,11 +1,15 @@
 """Configuration is typed: a typo is an error that names the key."""
 
+from typing import ClassVar
+
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.cli.parser import REMOVED
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
@@ -154,6 +158,30 @@ def test_a_former_key_names_the_present_one(model, old, new):
     assert str(caught.value) == f"--set: {new}"
 
 
+class Former(Settings):
+    REMOVED: ClassVar = {"braille": "the studio shows the map"}
+    steps: int = 3
+
+
+class Former2(Settings):
+    REMOVED: ClassVar = {"old": "every scan is placed as well without it"}
+    former: Former = Former()
+
+
+def test_a_removed_key_is_left_out_with_a_note_whatever_it_holds(tmp_path, caplog):
+    path = tmp_path / "c.yaml"
+    path.write_text("former: {braille: {wide: .nan}, steps: 5}\nold: [1, 2]\n")
+    config = load_config(Former2, path)
+    assert config == Former2(former=Former(steps=5))
+    assert caplog.messages == [
+        f"note: {path}: former.braille: left out: the studio shows the map",
+        f"note: {path}: old: left out: every scan is placed as well without it",
+    ]
+    assert load_config(Former2, settings=["former.braille=true"]) == Former2()
+    with pytest.raises(InputError, match=r"--set: former.brail: unknown key \(known: steps\)"):
+        load_config(Former2, settings=["former.braille=true", "former.brail=true"])
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -177,6 +205,23 @@ def test_a_former_key_names_the_present_one(model, old, new):
     ],
 )
 def test_a_former_command_or_option_names_the_present_one(tmp_path, capsys, words, said):
+    assert main([*words.split(), "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err == f"turtlebag: {said}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("draw data/maps/a", "draw is gone; use report"),
+        (
+            "teleop --world empty --ascii=1",
+            "teleop: --ascii is gone; use studio (see turtlebag teleop --help)",
+        ),
+    ],
+)
+def test_a_removed_command_or_option_says_what_to_use(monkeypatch, tmp_path, capsys, words, said):
+    monkeypatch.setitem(REMOVED, "draw", "use report")
+    monkeypatch.setitem(REMOVED, "teleop --ascii", "use studio")
     assert main([*words.split(), "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == f"turtlebag: {said}\n"
 

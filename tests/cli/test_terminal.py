@@ -1,6 +1,7 @@
 """What a person meets at the terminal: messages in whole lines, bars above which they go, closing lines."""
 
 import io
+import re
 import subprocess
 import sys
 from contextlib import redirect_stderr
@@ -239,3 +240,83 @@ def test_looking_at_a_bag_loads_what_reads_it_and_no_more(tmp_path):
 def test_a_drive_loads_no_pose_graph_and_no_plots():
     modules = "import turtlebag.pipeline.stages.navigate, turtlebag.pipeline.navigation.driver_setup"
     assert not loaded_after(modules) & {"gtsam", "open3d", "matplotlib", "duckdb"}
+
+
+HOSTILE = "/scan\x1b]0;owned\x07\x1b[2J\r\nturtlebag: all is well\x9b31m\u202egnp"
+SHOWN = r"/scan\x1b]0;owned\x07\x1b[2J\r\nturtlebag: all is well\x9b31m\u202egnp"
+
+
+def obeyed(text):
+    """Control characters that a terminal would act upon, apart from the end of a line."""
+    return re.findall("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]", text)
+
+
+def test_what_others_wrote_is_shown_in_one_line_and_not_obeyed(normal, capsys):
+    with console.guarded_streams():
+        console.log.warning("note: %s", HOSTILE)
+        console.say(HOSTILE)
+        console.print_table([("topic", "n"), (HOSTILE, "1")])
+        print(HOSTILE.partition("\r")[0])
+        print(HOSTILE.partition("\r")[0], file=sys.stderr)
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0] == SHOWN
+    assert out.splitlines()[2].split("  ") == [SHOWN, "1"]
+    assert err.splitlines()[0] == f"note: {SHOWN}"
+    assert out.splitlines()[3] == err.splitlines()[1] == r"/scan\x1b]0;owned\x07\x1b[2J"
+    assert not obeyed(out + err)
+    assert (out + err).count("\n") == 6
+
+
+def test_bars_and_redrawn_frames_show_it_too_and_their_own_commands_still_work(normal):
+    with redirect_stderr(Terminal()) as terminal, console.guarded_streams():
+        with console.simulated_time(10.0) as clock:
+            clock(10**9, HOSTILE + "[/red]")
+            console.log.info(HOSTILE)
+        with console.redrawn() as redraw:
+            redraw(HOSTILE)
+    written = terminal.getvalue()
+    assert SHOWN in written
+    assert "\x1b[?25l" in written  # rich's own: the cursor is hidden
+    assert not re.search("\x1b]0|\x1b\\[2J|\x9b|\u202e|\x07", written)
+
+
+@pytest.mark.parametrize(
+    "words", [("map", "{}"), ("map", "a", "--name", "{}"), ("bag", "info", "{}"), ("{}",), ("map", "--{}")]
+)
+def test_an_error_that_names_it_is_one_line(capsys, words):
+    assert main([word.format(HOSTILE) for word in words]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert not obeyed(err)
+
+
+def test_topics_and_frames_of_a_bag_are_shown_and_not_obeyed(tmp_path, capsys):
+    name = "/a" + HOSTILE
+    with BagWriter(tmp_path / "bag", custom={"seed" + HOSTILE: HOSTILE}) as bag:
+        bag.static_transforms(0, [(HOSTILE, "base_scan", (0.0, 0.0, 0.0), 0.0)])
+        channel = bag.add_topic(name, "std_msgs/msg/Bool", "bool data")
+        bag.write(channel, 0, b"\0\1\0\0\1")
+    path = str(tmp_path / "bag")
+    assert main(["bag", "info", path]) == 0
+    assert SHOWN in capsys.readouterr().out
+    assert main(["bag", "doctor", path]) == 1
+    assert main(["map", path, "--out", str(tmp_path / "out")]) == 2
+    assert main(["bag", "convert", path, "--exclude", HOSTILE, "--out", str(tmp_path / "out")]) == 2
+    said = "".join(capsys.readouterr())
+    assert SHOWN in said
+    assert not obeyed(said)
+
+
+def test_a_traceback_is_shown_and_not_obeyed():
+    code = (
+        "import sys; from turtlebag.pipeline import __main__ as door\n"
+        "from turtlebag.pipeline.cli import doctor\n"
+        f"def run(args): raise RuntimeError({HOSTILE!r})\n"
+        "doctor.run = run; sys.argv[1:] = ['doctor']; sys.exit(door.run())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True)
+    said = done.stderr.decode()
+    assert done.returncode == 1
+    assert said.startswith("Traceback")
+    assert r"RuntimeError: /scan\x1b]0;owned\x07\x1b[2J\r" in said
+    assert not obeyed(said)

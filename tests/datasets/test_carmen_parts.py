@@ -104,7 +104,7 @@ def test_a_log_is_read_line_by_line():
     # so few readings do not tell a wall from a code for no return
     assert found.ranges.tolist() == [[1.0, 2.0, 3.0]] * 2
     assert found.notes[1:4] == (
-        "4 damaged lines skipped, the first is line 6",
+        "5 damaged lines skipped, the first is line 6",
         "1 rear laser scans (RLASER) not used",
         "stamps go back 1 time; file order kept",
     )

@@ -180,17 +180,6 @@ def limits(seconds, memory_bytes=6 << 30):
             signal.signal(number, handler)
 
 
-@contextlib.contextmanager
-def files_below(size):
-    """No file may grow to `size` bytes; as on a full disk, writing more is an error."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size - 1, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 def outcome(words, seconds=5.0):
     """Exit code of a command line and all it said on stderr; a traceback's code is None, TooSlow's -1."""
     with tempfile.TemporaryFile("w+") as said, contextlib.redirect_stderr(said):

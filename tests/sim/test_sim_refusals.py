@@ -96,7 +96,11 @@ FILES = [
         sdf("<cylinder><radius>-1</radius><length>1</length></cylinder>"),
         "m_0: cylinder: its radius is not a positive number",
     ),
-    ("w.world", sdf("<mesh><uri>none.stl</uri></mesh>"), "none.stl not found; set GAZEBO_MODEL_PATH"),
+    (
+        "w.world",
+        sdf("<mesh><uri>none.stl</uri></mesh>"),
+        "not found: none.stl; put the models beside the file, or set GAZEBO_MODEL_PATH",
+    ),
     ("w.world", sdf("<torus/>"), "m_0: torus: unknown shape"),
     ("w.world", sdf("<torus/>", pose="0 0 0"), "model m: pose '0 0 0' is not six finite numbers"),
     ("w.world", "<sdf version='1.6'><world name='w'><model</world></sdf>", "not readable as SDF"),

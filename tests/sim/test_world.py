@@ -1,12 +1,16 @@
 """World files and the true map."""
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
+from turtlebag.sim.rasterize import true_map
 from turtlebag.sim.shapes import as_rectangle, ball, box, contains, cylinder, mesh, prism
 from turtlebag.sim.worlds import load_world
 
@@ -129,3 +133,33 @@ def test_house_has_six_connected_rooms_and_no_way_out_with_the_gate_shut():
         np.all(outline.min(0) < (6.2, -3.0)) and np.all(outline.max(0) > (6.2, -3.0))
         for outline in shut.keepout
     )
+
+
+def test_a_world_of_thousands_of_solids_is_mapped_in_seconds():
+    """Each solid once had every other one asked for its bounds, and every cell of the map: minutes."""
+    side = np.arange(-35.0, 35.5, 1.0)
+    boxes = [box("", (x, y), (0.2, 0.3), x, (0.0, 1.0)) for x in side for y in side if x or y]
+    begun = time.process_time()
+    grid = true_map(boxes, 0.2, (-36.0, 36.0, -36.0, 36.0), np.zeros(2), 0.05)
+    assert time.process_time() - begun < 20.0
+    assert scipy.ndimage.label(grid.cells == OCCUPIED, structure=np.ones((3, 3)))[1] == len(boxes) == 5040
+
+
+def test_worlds_of_too_many_things_are_refused(tmp_path):
+    path = tmp_path / "a.yaml"
+    ball = "kind: cylinder, center: [3, 0], radius: 0.1, z: [0, 1]"
+    many = {
+        "shapes": (f"- {{{ball}}}\n", 20_001, "20000"),
+        "movers": ("- {radius: 0.1, path: [[1, 1]], speed: 1}\n", 101, "100"),
+        "keepout": ("- [[0, 0], [1, 0], [0, 1]]\n", 1001, "1000"),
+    }
+    for key, (entry, count, most) in many.items():
+        rest = "" if key == "shapes" else f"shapes: [{{{ball}}}]\n"
+        path.write_text(f"name: a\nspawn: [0, 0, 0]\n{rest}{key}:\n{entry * count}")
+        with pytest.raises(InputError, match=rf"a.yaml: {key}: must have at most {most} items, not {count}$"):
+            load_world(str(path))
+    corners = ", ".join(f"[{np.cos(a):.6f}, {np.sin(a):.6f}]" for a in np.linspace(0, 6.28, 1001))
+    disc = f"kind: prism, z: [0, 1], polygon: [{corners}]"
+    path.write_text(f"name: a\nspawn: [3, 0, 0]\nshapes: [{{{disc}}}]\n")
+    with pytest.raises(InputError, match="polygon: must have at most 1000 items"):
+        load_world(str(path))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from tests.helpers.fuzz_inputs import files_below
+from tests.helpers.full_disks import files_below
 from turtlebag.datasets import se3
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.se2 import SE2

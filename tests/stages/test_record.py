@@ -14,7 +14,7 @@ import pytest
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.output_lock import MARKER
+from turtlebag.datasets.output_rules import MARKER
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.trajectories import load_tum

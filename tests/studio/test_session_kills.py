@@ -8,11 +8,14 @@ import time
 
 import pytest
 
+from tests.helpers.full_disks import files_below
 from tests.studio.walk import differences, silent
 from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.errors import Unfinished
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.studio import replay, studio_output
+from turtlebag.pipeline.studio.inputs import Save
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
@@ -92,7 +95,7 @@ def test_what_is_left_of_a_session_is_set_aside_by_the_next(killed, tmp_path, ca
         pass
     aside = tmp_path / "live.unfinished"
     assert load_session(aside / "session.yaml").actions[0][1].do == "record"
-    assert f"an unfinished session is now {aside}; " in caplog.text
+    assert f"what an unfinished command left is now in {aside} (`turtlebag studio" in caplog.text
     assert (tmp_path / "live/manifest.json").exists()
 
 
@@ -104,7 +107,7 @@ def test_a_killed_replay_leaves_nothing_that_looks_finished_and_can_be_begun_aga
     process.wait()
     assert not out.exists()
     assert replay(killed / "session.yaml", Output(out), say=silent) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "out.unfinished"}
 
 
 def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path, monkeypatch):
@@ -132,7 +135,21 @@ def fail_within(out):
         raise ZeroDivisionError
 
 
-def test_an_error_within_leaves_nothing(tmp_path):
+def test_what_was_driven_before_an_error_is_kept(tmp_path, caplog):
     with pytest.raises(ZeroDivisionError):
         fail_within(tmp_path / "out")
-    assert list(tmp_path.iterdir()) == []
+    aside = tmp_path / "out.unfinished"
+    assert list(tmp_path.iterdir()) == [aside]
+    assert f"what was recorded is kept in {aside} (`turtlebag studio --replay" in caplog.text
+    with files_below(60_000), pytest.raises(Unfinished, match=r"File too large; .*out\.unfinished-2"):
+        fill_within(tmp_path / "out")
+    saved = tmp_path / "saved"
+    assert main(["bag", "recover", str(tmp_path / "out.unfinished-2/bags/drive"), "--out", str(saved)]) == 0
+    assert len(read_commands(saved)[0]) > 25
+
+
+def fill_within(out):
+    with studio_output(StudioSetup("empty"), Output(out), say=silent) as session:
+        session.apply(Save(do="record", name="drive"))
+        for _ in range(300):
+            session.tick()

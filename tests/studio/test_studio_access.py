@@ -49,6 +49,8 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
         assert page.headers["Referrer-Policy"] == "no-referrer"
         assert page.headers["X-Frame-Options"] == "DENY"
         assert "Server" not in page.headers
+        same = await fetch(served.url.replace("/?", "/index.html?"))
+        assert (same.code, same.body) == (page.code, page.body)
         part = await fetch(f"{served.place}/parts/main.js")
         assert (part.code, part.headers["Content-Type"]) == (200, "text/javascript; charset=utf-8")
         assert part.headers["X-Content-Type-Options"] == "nosniff"
@@ -62,9 +64,10 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
 def test_without_the_token_there_is_neither_page_nor_socket(served, query, caplog):
     async def attempt():
         query_ = query.format(served.access.token)
-        page = await fetch(f"{served.place}/{query_}")
-        assert page.code in (400, 403)
-        assert served.access.token.encode() not in page.body
+        for name in ("", "index.html", "index%2Ehtml", "%69ndex.html"):
+            page = await fetch(f"{served.place}/{name}{query_}")
+            assert page.code in (400, 403)
+            assert served.access.token.encode() not in page.body
         with pytest.raises(HTTPClientError, match=r"40[03]"):
             await connect(f"{served.place}/{query_}")
 
