@@ -61,21 +61,23 @@ def test_a_cluster_is_settled_on_its_mean_from_its_edge():
 
 
 def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_kld_sampling_does():
-    """A cluster is begun from a few of the heaviest bins: the heaviest cluster is not found if a bin
-    narrower than KLD-sampling's cuts each of its particles off, nor if a wider one takes in two others."""
-    width, turn = resampling.BIN_M, resampling.BIN_RAD
-    inside = np.array([[x, y, a] for x in (0.05, 0.95) for y in (0.05, 0.95) for a in (0.05, 0.95)])
-    corners = inside * [width, width, turn]
-    # Six pairs far apart, each in one bin; eight single particles fill the corners of another one.
-    pairs = np.repeat([[4.0 * k + 0.01, 0.01, 0.01] for k in range(1, 7)], 3, axis=0)
-    poses = np.vstack([pairs, corners])
-    found = estimate.main_cluster(poses, np.full(len(poses), 1.0 / len(poses)))
-    np.testing.assert_allclose(found.T_map_base.xyt, [width / 2, width / 2, turn / 2], atol=1e-9)
-    # Each corner in the next bin outwards: all bins of these are light, and so are not looked at.
-    outside = np.where(inside > 0.5, 1.05, -0.05) * [width, width, turn]
-    poses = np.vstack([pairs, outside])
-    found = estimate.main_cluster(poses, np.full(len(poses), 1.0 / len(poses)))
-    assert found.T_map_base.x > 3.0
+    """A cluster is begun from a few of the heaviest bins: six of five particles each hide one of eight,
+    unless more than five of these share a bin."""
+    bins = np.array([resampling.BIN_M, resampling.BIN_M, resampling.BIN_RAD])
+    fives = np.repeat([[4.0 * k + 0.01, 0.01, 0.01] for k in range(1, 7)], 5, axis=0)
+
+    def found(eight):
+        poses = np.vstack([fives, eight])
+        return estimate.main_cluster(poses, np.full(len(poses), 1.0 / len(poses))).T_map_base
+
+    # in the corners of one bin, and so at most four in any narrower one
+    corners = np.array([[x, y, a] for x in (0.05, 0.95) for y in (0.05, 0.95) for a in (0.05, 0.95)]) * bins
+    np.testing.assert_allclose(found(corners).xyt, 0.5 * bins, atol=1e-9)
+    # four each in two bins, which wider ones would join
+    for axis in range(3):
+        row = np.tile(0.5 * bins, (8, 1))
+        row[:, axis] = np.repeat([0.95, 1.05], 4) * bins[axis]
+        assert found(row).x > 3.0
 
 
 def test_the_heaviest_cluster_wins_though_the_heaviest_bin_is_another_s():
