@@ -172,7 +172,7 @@ def system_file(value: Any) -> tuple[str, Path]:
     if not path:
         raise InputError(f"{value}: names no file; write NAME=FILE")
     if not name:
-        raise InputError(f"{value}: names no system; write NAME=FILE")
+        raise InputError("'': a system's name may contain only letters, digits, - and _")
     return name, Path(path)
 
 
