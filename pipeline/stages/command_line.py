@@ -14,7 +14,6 @@ from pydantic.fields import FieldInfo
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.yaml_files import parsed, plain_message
 from turtlebag.pipeline.stages.parser import Parser, joined, refuse_former
 from turtlebag.pipeline.stages.requests.options import Laser, Option, flag_of
@@ -22,14 +21,6 @@ from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.table import REQUESTS
 
 Asked = TypeVar("Asked", bound=Request)
-
-
-class OrOwn(tuple[str, ...]):
-    """Choices of an option that also accepts a user's class, module:Class."""
-
-    def __contains__(self, name: object) -> bool:
-        """Whether it is one of the choices, or could be such a class."""
-        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
 
 
 def add_request(parser: Parser, kind: type[Request]) -> None:
@@ -50,9 +41,7 @@ def _add_field(parser: Parser, name: str, field: FieldInfo, option: Option) -> N
         parser.add_argument(_flag(name, option), action=action, **{**words, "required": False})
         return
     words |= {"type": option.read} | ({"metavar": option.value} if option.value else {})
-    if option.choices:
-        own = "module:Class" in option.text
-        words |= {"choices": OrOwn(option.choices) if own else option.choices}
+    words |= {"choices": option.choices} if option.choices else {}
     if _repeated(field):
         words |= {"nargs": "+"} if option.positional else {"action": "append"}
     parser.add_argument(name if option.positional else _flag(name, option), **words)
