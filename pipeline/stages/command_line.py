@@ -30,10 +30,7 @@ def add_request(parser: Parser, kind: type[Request]) -> None:
 
 
 def _add_field(parser: Parser, name: str, field: FieldInfo, option: Option) -> None:
-    words: dict[str, Any] = {
-        "help": f"{option.text}{_unit(option)}{_default(field)}",
-        "default": argparse.SUPPRESS,
-    }
+    words: dict[str, Any] = {"help": said_of(field), "default": argparse.SUPPRESS}
     if not option.positional:
         words |= {"dest": name, "required": field.is_required()}
     if field.annotation is bool:
@@ -65,15 +62,12 @@ def _repeated(field: FieldInfo) -> bool:
     return get_origin(field.annotation) is dict or ... in get_args(field.annotation)
 
 
-def _unit(option: Option) -> str:
-    return f" [{option.unit}]" if option.unit else ""
-
-
-def _default(field: FieldInfo) -> str:
-    value = field.default
-    return (
-        f" (default: {value})" if isinstance(value, str | int | float) and not isinstance(value, bool) else ""
-    )
+def said_of(field: FieldInfo) -> str:
+    """What a field is, in what unit, and its default, in a line."""
+    option, value = option_of(field), field.default
+    unit = f" [{option.unit}]" if option.unit else ""
+    told = isinstance(value, str | int | float) and not isinstance(value, bool)
+    return f"{option.text}{unit}" + (f" (default: {value})" if told else "")
 
 
 def request_of(kind: type[Asked], args: argparse.Namespace) -> Asked:
