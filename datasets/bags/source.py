@@ -158,6 +158,12 @@ def is_bag(path: Path) -> bool:
     return _kind_of(path) is not None or PurePosixPath(path.name.lower()).suffix in SUFFIXES
 
 
+def is_carmen_log(path: Path) -> bool:
+    """Whether a file is a CARMEN log, by its name."""
+    endings = path.name.lower().split(".")[1:]
+    return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(endings))
+
+
 def _open_packed(path: Path) -> Bag:
     content, problem = read_unpacked(path)
     kind = _kind_by(content, path)
