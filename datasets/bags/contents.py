@@ -12,6 +12,7 @@ import numpy as np
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.frames import FrameTree
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
+from turtlebag.datasets.bags.stamps import check_order
 from turtlebag.datasets.bags.topics import (
     CLOUD,
     IMU,
@@ -147,14 +148,17 @@ class Contents:
             links,
         )
 
-    def read_imu(self) -> ImuLog | None:
+    def read_imu(self, findings: list[Finding]) -> ImuLog | None:
         """Samples of /imu or of the only IMU."""
         name = "/imu" if "/imu" in self.imu else next(iter(self.imu), None)
         if name is None or (name != "/imu" and len(self.imu) > 1):
             return None
-        samples = [sample for _, sample in self.imu_samples(name)]
+        timed = self.imu_samples(name)
+        samples = [sample for _, sample in timed]
+        stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+        findings += check_order(name, stamps, np.array([time for time, _ in timed], dtype=np.int64))
         return ImuLog(
-            np.array([sample.stamp_ns for sample in samples], dtype=np.int64),
+            stamps,
             np.array([sample.angular for sample in samples], dtype=np.float64).reshape(-1, 3),
             np.array([sample.linear for sample in samples], dtype=np.float64).reshape(-1, 3),
         )

@@ -66,7 +66,7 @@ def recording_of(
     if T_base_lidar is None:
         T_base_lidar, lidar = _mounted(contents, topic, odometry, scans[0].frame, lidar, findings)
     T_odom_base = odometry_at(odometry, topic, stamps, log_times, findings)
-    imu = contents.read_imu()
+    imu = contents.read_imu(findings)
     findings += contents.findings()
     return Recording(
         source=str(path),

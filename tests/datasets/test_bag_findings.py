@@ -21,10 +21,13 @@ from tests.helpers.foreign_bags import (
     transform,
     write_foreign,
 )
+from turtlebag.datasets.bags import cdr
 from turtlebag.datasets.bags.doctor import examine
+from turtlebag.datasets.bags.topics import IMU
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import KINDS, Finding
 from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.types import Imu
 from turtlebag.pipeline.cli.main import main
 
 STEP = 100_000_000
@@ -79,6 +82,12 @@ def unfilled(k):
     topic, kind, time, message = odom(k, step=0.0)
     message.twist.twist.linear.x = 0.2
     return topic, kind, time, message
+
+
+def imu(k):
+    stamp = k * STEP + (k > 20) * 9 * STEP
+    data = cdr.imu("imu_link", Imu(stamp, np.zeros(3), np.zeros(3)), np.zeros(9), np.zeros(9))
+    return "/imu", IMU, stamp, data
 
 
 LOOP = [
@@ -149,6 +158,11 @@ CASES = {
     "a pose that is not filled in": (
         drive(unfilled, scan),
         {("pose not filled in", "/odom: the pose never changes but the twist does")},
+        {},
+    ),
+    "an IMU that pauses": (
+        drive(odom, scan, imu),
+        {("gaps", "/imu: 1 gap, the longest 1.00 s (usually 0.100 s)")},
         {},
     ),
     "gaps, repeats and steps back": (
