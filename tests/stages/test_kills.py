@@ -30,7 +30,6 @@ COMMANDS = {
     "localise": "localise CHAIN/record --map CHAIN/map/map.yaml --initial-pose=0,0,0",
     "plan": "plan --map CHAIN/map/map.yaml --start=0,0,0 --goal=0.5,0,0",
     "compare": "compare CHAIN/map CHAIN/map",
-    "ablate": "ablate CHAIN/record --replace odometry",
     "convert": "bag convert CHAIN/record",
     "sqlite3": "bag convert CHAIN/record --storage sqlite3",
     "recover": "bag recover CHAIN/record",
