@@ -26,7 +26,7 @@ from turtlebag.datasets.bags.topics import (
     typestore,
 )
 from turtlebag.datasets.findings import Finding
-from turtlebag.datasets.plurals import counted
+from turtlebag.datasets.plurals import counted, listed
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import ImuLog, Stamps
 
@@ -197,5 +197,5 @@ class Contents:
         # asked last: the definitions of all standard types take long to load
         unknown = [f"{name} ({kind})" for name, kind in others.items() if kind not in typestore().fielddefs]
         if unknown:
-            what = f"topics of unknown types: {', '.join(sorted(unknown))}"
+            what = f"topics of unknown types: {listed(unknown)}"
             yield Finding("unknown types", "", what, len(unknown), remedy="skipped")

@@ -17,6 +17,7 @@ from turtlebag.datasets.bags.stamps import check_order, running
 from turtlebag.datasets.bags.topics import CLOUD, SCAN, way_out
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import Finding, Unusable, lines_of
+from turtlebag.datasets.plurals import listed
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Recording, Stamps
 
@@ -89,7 +90,7 @@ def _of_one_laser(
     frames = Counter(scan.frame for _, scan in found)
     main, count = frames.most_common(1)[0]
     if len(frames) > 1:
-        named = ", ".join(f"'{name}' ({number})" for name, number in frames.most_common())
+        named = ", ".join(f"'{name}' ({number})" for name, number in frames.most_common(12))
         what, others = f"messages of {len(frames)} frames: {named}", len(found) - count
         findings.append(Finding("mixed frames", topic, what, others, remedy="the most frequent is used"))
     ours = [(time, scan) for time, scan in found if scan.frame == main]
@@ -123,8 +124,7 @@ def _mounted(
 
 def unplaced(frames: FrameTree, topic: str, base: str, sensor: str) -> Finding:
     """That no fixed transforms say where the sensor of a topic sits."""
-    known = ", ".join(sorted(frames.frames())) or "none"
-    what = f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known})"
+    what = f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {listed(frames.frames())})"
     kind = "frames do not connect" if frames.fixed else "no static transforms"
     remedy = f"an upright laser at the robot's centre is assumed; {_LASER}"
     return Finding(kind, topic, what, remedy=remedy)
@@ -183,4 +183,4 @@ def clouds_in(contents: Contents) -> list[str]:
 
 
 def _topics(contents: Contents) -> str:
-    return f"its topics: {', '.join(sorted(contents.types)[:12]) or 'none'}"
+    return f"its topics: {listed(contents.types)}"
