@@ -112,9 +112,9 @@ class Contents:
 
     def read_headers(self, name: str) -> tuple[Stamps, Stamps]:
         """Stamps and log times [ns] of one of the `others`."""
-        found = self._decoded(name, self.others[name], decode.header)
-        stamps = np.array([stamp for _, (stamp, _) in found], dtype=np.int64)
-        return stamps, np.array([time for time, _ in found], dtype=np.int64)
+        headers = self._decoded(name, self.others[name], decode.header)
+        stamps = np.array([stamp for _, (stamp, _) in headers], dtype=np.int64)
+        return stamps, np.array([time for time, _ in headers], dtype=np.int64)
 
     def _transforms(self, topics: dict[str, Raw], *, static: bool) -> None:
         for name, raw in topics.items():
@@ -134,10 +134,10 @@ class Contents:
         return self._odometry[name]
 
     @staticmethod
-    def _columns(found: Timed[decode.RawPose]) -> OdometryColumns:
-        links = Counter((pose.frame, pose.child) for _, pose in found)
+    def _columns(poses: Timed[decode.RawPose]) -> OdometryColumns:
+        links = Counter((pose.frame, pose.child) for _, pose in poses)
         main = links.most_common(1)[0][0] if links else ("", "")
-        ours = [(time, pose) for time, pose in found if (pose.frame, pose.child) == main]
+        ours = [(time, pose) for time, pose in poses if (pose.frame, pose.child) == main]
         rows = np.array([(pose.x, pose.y, *pose.quaternion) for _, pose in ours]).reshape(-1, 6)
         return OdometryColumns(
             np.array([pose.stamp_ns for _, pose in ours], dtype=np.int64),
@@ -169,15 +169,15 @@ class Contents:
 
     def _decoded(self, name: str, raw: Raw, read: Callable[[decode.Cursor], Decoded]) -> Timed[Decoded]:
         """The intact messages of a topic with their log times [ns]; the others become a finding."""
-        found, damaged = [], []
+        intact, damaged = [], []
         for log_time, data in raw:
             try:
-                found.append((log_time, read(self.bag.cursor(data))))
+                intact.append((log_time, read(self.bag.cursor(data))))
             except decode.BadMessage:
                 damaged.append(log_time)
         if damaged:
             self.note_damaged(name, damaged, len(raw))
-        return found
+        return intact
 
     def note_damaged(self, name: str, log_times: list[int], total: int) -> None:
         """Note that of all messages of a topic, those of some log times [ns] cannot be decoded."""

@@ -87,10 +87,10 @@ class FrameTree:
 
     def parents(self) -> dict[str, list[str]]:
         """The parents of each frame that has one, sorted."""
-        found: dict[str, list[str]] = {}
+        parents: dict[str, list[str]] = {}
         for parent, child in sorted({*self.fixed, *self.moving}):
-            found.setdefault(child, []).append(parent)
-        return found
+            parents.setdefault(child, []).append(parent)
+        return parents
 
     def base(self, otherwise: str = BASES[0]) -> str:
         """Name of the robot's base frame among those seen, or else that one."""
@@ -114,16 +114,17 @@ class FrameTree:
         for (parent, child), T_parent_child in self.fixed.items():
             beside.setdefault(parent, []).append((child, T_parent_child))
             if up:
-                beside.setdefault(child, []).append((parent, np.linalg.inv(T_parent_child)))
-        found = {target: np.eye(4)}
+                T_child_parent: Array = np.linalg.inv(T_parent_child).astype(np.float64)
+                beside.setdefault(child, []).append((parent, T_child_parent))
+        T_target = {target: np.eye(4)}
         queue = deque([target])
         while queue:
             frame = queue.popleft()
             for other, T_frame_other in beside.get(frame, ()):
-                if other not in found:
-                    found[other] = found[frame] @ T_frame_other
+                if other not in T_target:
+                    T_target[other] = T_target[frame] @ T_frame_other
                     queue.append(other)
-        return found
+        return T_target
 
     def findings(self) -> Iterator[Finding]:
         """What is wrong with the transforms that were added."""
