@@ -24,7 +24,9 @@ from turtlebag.datasets.bags.plausibility import (
 )
 from turtlebag.datasets.bags.scans import Geometry, on_one_grid
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import Finding, lines_of
 from turtlebag.datasets.no_return_range import no_return_value
+from turtlebag.datasets.number_text import decimal, decimals, whole
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.trajectories import stamp_from_text
@@ -57,9 +59,12 @@ class _Line(NamedTuple):
 
 def is_carmen(content: bytes) -> bool:
     """Whether the beginning of a file looks like a CARMEN log."""
-    head = content[:65536].split(b"\n")
-    known = (b"FLASER ", b"ROBOTLASER1 ", b"RLASER ", b"ODOM ", b"PARAM ", b"RAWLASER", b"SYNC ")
-    return any(line.startswith(known) for line in head) or head[0].startswith(b"# CARMEN")
+    head = content[:65536]
+    known = (b"FLASER", b"ROBOTLASER1", b"RLASER", b"ODOM", b"PARAM", b"SYNC")
+    lines = filter(None, (line.split(None, 1) for line in head.split(b"\n")))
+    return head.startswith(b"# CARMEN") or any(
+        (len(words) == 2 and words[0] in known) or words[0].startswith(b"RAWLASER") for words in lines
+    )
 
 
 def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes: list[str]) -> Recording:
@@ -104,10 +109,10 @@ def _collect(content: bytes) -> tuple[dict[bytes, list[_Line]], dict[bytes, byte
     broken: list[int] = []
     rear = 0
     for number, line in enumerate(content.split(b"\n"), start=1):
-        kind = line[: line.find(b" ")]
+        kind = next(iter(line.split(None, 1)), b"")
         if kind in found:
             try:
-                found[kind].append(_parsed(kind, line.split(), number))
+                found[kind].append(_parsed(kind, line.decode("latin-1").split(), number))
             except (ValueError, IndexError, OverflowError):
                 broken.append(number)
         elif kind == b"PARAM":
@@ -119,26 +124,26 @@ def _collect(content: bytes) -> tuple[dict[bytes, list[_Line]], dict[bytes, byte
     return found, params, broken, rear
 
 
-def _parsed(kind: bytes, words: list[bytes], number: int) -> _Line:
+def _parsed(kind: bytes, words: list[str], number: int) -> _Line:
     """One scan line; ValueError or IndexError when its fields do not add up."""
     if kind == b"FLASER":
-        n, first = int(words[1]), 2
+        n, first = whole(words[1]), 2
         poses = first + n
         if len(words) != poses + 9:
             raise ValueError("wrong number of fields")
         view = None
     else:
-        n, first = int(words[8]), 9
-        poses = first + n + 1 + int(words[first + n])
+        n, first = whole(words[8]), 9
+        poses = first + n + 1 + whole(words[first + n])
         if len(words) != poses + 14:
             raise ValueError("wrong number of fields")
-        view = float(words[2]), float(words[4])
+        view = decimal(words[2]), decimal(words[4])
     if n < 1:
         raise ValueError("no beams")
-    if not 0.0 <= float(words[-3]) < _END_OF_TIME_S:
+    if not 0.0 <= decimal(words[-3]) < _END_OF_TIME_S:
         raise ValueError("an impossible stamp")
-    stamp = stamp_from_text(words[-3].decode("ascii"))
-    values = np.array([float(word) for word in words[first : first + n] + words[poses : poses + 6]])
+    stamp = stamp_from_text(words[-3])
+    values = np.array(decimals(words[first : first + n] + words[poses : poses + 6]))
     if not (np.abs(values[-6:]) < FAR_M).all():
         raise ValueError("an impossible pose")
     return _Line(values, stamp, number, view)
@@ -184,7 +189,9 @@ def _on_one_grid(
     lidar = LidarSpec(main.n, main.angle_min, main.increment, 0.0, FAR)
     if len(set(found)) == 1:
         return stamps, np.array(rows), lidar
-    readings, lidar = on_one_grid([row[:-6] for row in rows], found, lidar, notes)
+    findings: list[Finding] = []
+    readings, lidar = on_one_grid("", [row[:-6] for row in rows], found, lidar, findings)
+    notes += lines_of(findings)
     return stamps, np.hstack([readings, [row[-6:] for row in rows]]), lidar
 
 
@@ -227,7 +234,7 @@ def _laser_pose(T_odom_base: SE2, T_odom_lidar: SE2, params: dict[bytes, bytes],
     if deviation.max() < 2e-3 and np.abs(median).max() > 1e-4:
         return SE2.from_array(np.round(median, 4))
     try:
-        offset = float(params.get(b"robot_frontlaser_offset", b"0"))
+        offset = decimal(params.get(b"robot_frontlaser_offset", b"0").decode("latin-1"))
     except ValueError:
         offset = 0.0
     if deviation.max() >= 2e-3:

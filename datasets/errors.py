@@ -15,6 +15,14 @@ class InputError(Exception):
     """
 
 
+class Unfinished(InputError):
+    """A recording that ended before its time; what there is of it is kept. `code` is the exit code."""
+
+    def __init__(self, text: str, code: int = 1) -> None:
+        super().__init__(text)
+        self.code = code
+
+
 def if_there(read: Callable[Given, Found], *given: Given.args, **named: Given.kwargs) -> Found | None:
     """The result of `read`, or None if it raises InputError: for what may be missing."""
     try:

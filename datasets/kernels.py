@@ -13,6 +13,7 @@ import os
 import re
 import shutil
 import sys
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, cached_property
@@ -20,8 +21,19 @@ from pathlib import Path
 from typing import Any
 
 import llvmlite
-import numba
 import numpy as np
+
+from turtlebag.datasets.errors import InputError
+
+with warnings.catch_warnings():
+    # Of a variable that it cannot parse it would warn in ten lines and go on without.
+    warnings.filterwarnings("error", "Environment variable", RuntimeWarning)
+    try:
+        import numba
+    except (RuntimeWarning, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"numba: {reason} (set by a variable NUMBA_* of the environment)") from None
+
 from numba.core.caching import FunctionCache
 
 ROOMS = ("datasets", "pipeline", "planners", "reports", "sim")

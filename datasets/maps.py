@@ -5,12 +5,20 @@ from __future__ import annotations
 import math
 import warnings
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import (
@@ -34,16 +42,41 @@ READERS = ("PPM", "PNG", "BMP", "JPEG")
 """Pillow's own, named one by one: among the rest are some that start other programs."""
 
 
+def _not_a_truth_value(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError(f"expected a number, not {str(value).lower()}")
+    return value
+
+
+def _share(value: float) -> float:
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"must be from 0, white, to 1, black, not {value:g}")
+    return value
+
+
+def _three_numbers(value: Any, validated: ValidatorFunctionWrapHandler) -> Any:
+    try:
+        return validated(value)
+    except ValueError:  # it speaks of each number in turn
+        raise ValueError("expected three numbers") from None
+
+
+Real = Annotated[float, BeforeValidator(_not_a_truth_value)]
+Share = Annotated[Real, AfterValidator(_share)]
+
+
 class MapYaml(BaseModel):
     """Keys of a map yaml; unknown keys are ignored, as map_server does."""
 
     model_config = ConfigDict(extra="ignore")
     image: str
-    resolution: float = Field(ge=1e-4, le=100.0, allow_inf_nan=False)
-    origin: tuple[float, float, float]
+    resolution: Real = Field(ge=1e-4, le=100.0, allow_inf_nan=False, description="metres per pixel, as 0.05")
+    origin: Annotated[tuple[Real, Real, Real], WrapValidator(_three_numbers)] = Field(
+        description="x, y, yaw of the lower left corner, in metres and radians"
+    )
     negate: int = 0
-    occupied_thresh: float
-    free_thresh: float
+    occupied_thresh: Share = Field(description="0.65 in most maps")
+    free_thresh: Share = Field(description="0.196 in most maps")
     mode: Literal["trinary", "scale", "raw"] = "trinary"
 
 

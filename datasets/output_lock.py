@@ -1,12 +1,13 @@
 """Locks an output, so that one process at a time writes it.
 
-An output grows in `OUT.partial`. That folder contains a marker file and is locked (flock on
-the folder itself, so the lock survives the rename, and ends with the process that holds it).
-The command's inputs must lie elsewhere, and must not change while it runs.
+An output grows in `OUT.partial`, a folder with a marker file that is locked: flock on the folder itself
+survives the rename, and ends with the process that holds it. The command's inputs must lie elsewhere, and
+must not change while it runs.
 """
 
 from __future__ import annotations
 
+import fcntl
 import itertools
 import logging
 import os
@@ -19,17 +20,23 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.files import Signature, require_same, signatures
-from turtlebag.datasets.locks import close, is_locked, is_same, open_locked
-from turtlebag.datasets.output_rules import check_free, identity, is_output, lineage, place_of, require_apart
+from turtlebag.datasets.files import JUNK, Signature, require_same, signatures
+from turtlebag.datasets.output_rules import (
+    MANIFEST,
+    MARKER,
+    identity,
+    lineage,
+    place_of,
+    require_apart,
+    require_free,
+    require_untouched,
+    strangers,
+)
 
-MARKER = ".turtlebag-unfinished"
-"""File in every folder that grows. It never is part of a finished output, nor of its hashes."""
-_MARK = "turtlebag: this output is unfinished; the same command removes it and starts over\n"
-_HIDDEN = ".turtlebag-"
 SESSION = "session.yaml"
 WORTH_SAVING = ("bag/*.mcap", "bags/*/*.mcap", SESSION)
-"""What cannot be made again by the same command."""
+"""What nobody can be asked to make again."""
+log = logging.getLogger("turtlebag")
 _held: dict[Path, OutputLock] = {}
 
 
@@ -37,24 +44,23 @@ class OutputLock:
     """The right to write one output, held until `release`."""
 
     def __init__(self, out: Path, *, force: bool, inputs: Iterable[Path]) -> None:
-        self.out, self.force = out, force
-        self.place = place_of(out)
-        self.growing = False
+        self.out, self.force, self.place = out, force, place_of(out)
+        self.growing = self.kept = False
         self._inputs: dict[Path, dict[Path, Signature]] = {}
-        self._kept = False
         inputs = list(inputs)
-        check_free(out, force=force, inputs=inputs)
         self.watch(inputs)
+        require_free(out, force=force)
         # An unfinished recording may be the input: then its folder is not ours to grow in, but locked too.
-        usual = out.with_name(out.name + ".partial")
-        read = any(identity(usual) in lineage(path) for path in inputs) if usual.is_dir() else False
-        self._reading = open_locked(usual, out) if read else None
-        self.partial = out.with_name(out.name + (".recovering" if read else ".partial"))
-        self._made_parents = _missing_parents(self.partial)
+        usual = out.with_name(f"{out.name}.partial")
+        read = usual.is_dir() and any(identity(usual) in lineage(path) for path in inputs)
+        self._reading = _locked(usual, out) if read else None
+        self.partial = out.with_name(f"{out.name}.recovering") if read else usual
+        self._made_parents = [parent for parent in self.partial.parents if not parent.exists()]
         self._folder = self._acquired()
         try:
-            check_free(out, force=force, inputs=inputs)
-        except InputError:  # another process was quicker by a hair
+            require_free(out, force=force)  # another process may have been quicker
+            require_untouched(out)
+        except (InputError, OSError):
             self.release()
             raise
 
@@ -65,115 +71,124 @@ class OutputLock:
             if path not in self._inputs and os.path.exists(path):
                 self._inputs[path] = signatures(path)
 
-    def begin(self, *, save_bag: bool = False) -> Path:
-        """The folder to write into, rid of what a killed process left.
-
-        With `save_bag` bags that were left are not removed but set aside, to be recovered; so is a session.
-        """
+    def begin(self) -> Path:
+        """The folder to write into, rid of what a killed process left: a bag or a session is set aside."""
         if self.growing:
             raise InputError(f"{self.out}: is already being written")
-        if save_bag and any(next(self.partial.glob(left), None) for left in WORTH_SAVING):
-            self._set_aside()
+        self.spare()
         self.growing = True
         self.clear()
         return self.partial
 
     def clear(self) -> None:
         """Remove what has grown; the lock stays."""
-        if self._kept:
-            return
-        for path in self.partial.iterdir():
-            if path.name != MARKER:
-                _remove(path)
+        if not self.kept:
+            _empty(self.partial, but=MARKER)
+
+    def spare(self) -> None:
+        """Set aside a bag or a session that a killed process left."""
+        if self._worth_saving():
+            log.warning("what an unfinished command left is now in %s", _way_out(self._set_aside()))
+            _close(self._folder)
+            self._folder = self._acquired()
+
+    def rescued(self) -> str | None:
+        """Set aside a bag or a session that has grown, and say where it is; None where there is none."""
+        if not self._worth_saving():
+            return None
+        try:
+            aside = self._set_aside()
+        except OSError:
+            self.kept, aside = True, self.partial
+        return f"what was recorded is kept in {_way_out(aside)}"
 
     def finish(self, file: Path | None = None) -> None:
-        """Put the folder, or a single file of it, in the output's place; InputError when that is not free.
+        """Put the folder, or a single file of it, in the output's place; InputError when that cannot be done,
+        which leaves there what is there, and what is finished where it is.
 
         What stood there goes last, and no signal comes between.
         """
-        self.require_unchanged()
-        with uninterrupted():
-            try:
-                check_free(self.out, force=self.force, kind="folder" if file is None else "file")
-            except InputError as error:
-                (self.partial / MARKER).unlink()
-                self._kept = True
-                raise InputError(f"{error}; the result is kept in {self.partial}") from None
-            if file is not None:
-                file.replace(self.place)
-                return
-            old = self._old_set_aside()
-            try:
-                self.partial.rename(self.place)
-            except OSError:
-                if old is not None:
-                    old.rename(self.place)
-                raise
-            (self.place / MARKER).unlink()
-        for path in _left_over(self.place):
-            _discard(path)
-
-    def require_unchanged(self) -> None:
-        """InputError when a file of the inputs is not the one it was when the lock was taken."""
         for path, before in self._inputs.items():
             require_same(path, before)
+        try:
+            require_free(self.out, force=self.force, kind="folder" if file is None else "file")
+            require_untouched(self.out)
+            with uninterrupted():
+                old = self._swapped(file or self.partial)
+        except (InputError, OSError) as error:
+            self.kept = True
+            with suppress(OSError):
+                (self.partial / MARKER).unlink()
+            said = error if isinstance(error, InputError) else f"{self.out}: {error.strerror}"
+            raise InputError(f"{said}; the result is kept in {file or self.partial}") from None
+        for path in _left_over(self.place, old):
+            try:
+                _empty(path, but=MANIFEST)  # last: what a kill leaves is known again
+                shutil.rmtree(path)
+            except OSError as error:
+                log.warning("%s: what was replaced cannot be removed (%s)", path, error.strerror)
 
     def release(self) -> None:
-        """Release the lock, and remove the folder if it is empty."""
+        """Release the lock, and remove the folder if nothing is in it that a killed process left."""
         with suppress(OSError):
-            if not self._kept and is_same(self._folder, self.partial):
-                left = [path.name for path in self.partial.iterdir()]
-                if self.growing or left == [MARKER]:
-                    hidden = _hidden(self.partial)
-                    self.partial.rename(hidden)  # at once: a kill from here on leaves nothing in the way
-                    _discard(hidden)
+            unused = self.growing or not _content(self.partial)
+            if unused and not self.kept and _is_same(self._folder, self.partial):
+                self.clear()
+                shutil.rmtree(self.partial)
+        self._remove_parents()
+        _close(self._folder)
+        _close(self._reading)
+
+    def _remove_parents(self) -> None:
         with suppress(OSError):
             for parent in self._made_parents:
                 parent.rmdir()
-        close(self._folder)
-        close(self._reading)
 
     def _acquired(self) -> int:
         """Descriptor of `partial`, which is ours alone now: a new one, or what a killed process left."""
-        while True:
-            if not os.path.lexists(self.partial):
-                folder = _created(self.partial)
-                if folder is not None:
-                    return folder
-                continue  # another process was quicker
-            folder = open_locked(self.partial, self.out)
-            if folder is None or not is_same(folder, self.partial):  # it was finished in this moment
-                close(folder)
-                continue
-            if _is_marked(self.partial):
-                return folder
-            close(folder)
-            raise InputError(
-                f"{self.partial}: is in the way and is not an unfinished output of turtlebag; "
-                "move it or choose another --out"
-            )
+        folder = None
+        try:
+            while folder is None or not _is_same(folder, self.partial):  # else it was finished in this moment
+                _close(folder)
+                with suppress(FileExistsError):  # what is no folder cannot be locked
+                    self.partial.mkdir(parents=True, exist_ok=True)
+                folder = _locked(self.partial, self.out)
+            if not (self.partial / MARKER).is_file():
+                _mark(self.partial)
+            return folder
+        except (InputError, OSError) as error:
+            _close(folder)
+            self._remove_parents()
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{self.partial}: cannot be created ({error.strerror})") from None
 
-    def _set_aside(self) -> None:
-        """Move an unfinished recording out of the way, under a name that is free."""
+    def _worth_saving(self) -> bool:
+        return not self.kept and any(next(self.partial.glob(kind), None) for kind in WORTH_SAVING)
+
+    def _set_aside(self) -> Path:
+        """Move what has grown to `OUT.unfinished`, or the first such name that is free."""
         names = (f"{self.out.name}.unfinished{'' if n == 1 else f'-{n}'}" for n in itertools.count(1))
         aside = next(path for name in names if not os.path.lexists(path := self.out.with_name(name)))
         self.partial.rename(aside)
         (aside / MARKER).unlink()
-        close(self._folder)
-        self._folder = self._acquired()
-        if (aside / SESSION).exists():
-            what, how = "session", f"`turtlebag studio --replay {aside / SESSION} --out DIR` replays it"
-        else:
-            what, how = "recording", f"`turtlebag bag recover {aside} --out DIR` saves it"
-        logging.getLogger("turtlebag").warning("an unfinished %s is now %s; %s", what, aside, how)
+        return aside
 
-    def _old_set_aside(self) -> Path | None:
-        """Move the output to be replaced to a name of its own; None when there is none, or an empty one."""
-        if not self.place.is_dir() or not any(self.place.iterdir()):
-            return None
-        old = self.place.with_name(f"{self.place.name}.old-{secrets.token_hex(4)}")
-        self.place.rename(old)
-        (old / MARKER).write_text(_MARK)
+    def _swapped(self, new: Path) -> Path | None:
+        """Move it into the place; where to the folder went that stood there, if it was not empty."""
+        old = None
+        if self.place.is_dir() and any(self.place.iterdir()):
+            old = self.place.with_name(f"{self.place.name}.old-{secrets.token_hex(4)}")
+            self.place.rename(old)
+        try:
+            new.replace(self.place)
+        except OSError:
+            if old is not None:
+                old.rename(self.place)
+            raise
+        if new is self.partial:
+            with suppress(OSError):
+                (self.place / MARKER).unlink()
         return old
 
 
@@ -214,74 +229,85 @@ def release_all() -> None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ctrl-C and termination wait until this is done."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    """Ctrl-C, termination and hang-up wait until this is done."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _created(partial: Path) -> int | None:
-    """Descriptor of a new marked and locked folder; None when the name is taken meanwhile.
+def _way_out(aside: Path) -> str:
+    """A folder that was set aside, and the command that makes a finished output of it."""
+    session = aside / SESSION
+    how = f"studio --replay {session}" if session.exists() else f"bag recover {aside}"
+    return f"{aside} (`turtlebag {how} --out DIR` makes a finished output of it)"
 
-    It is complete before it gets its name: no other process sees it without its mark or its lock.
+
+def _locked(folder: Path, out: Path) -> int | None:
+    """Descriptor of a locked folder; None if it is gone.
+
+    InputError when another process has the lock, or what is there is no folder.
     """
-    hidden = _hidden(partial)
-    folder = None
+    opened = None
     try:
-        hidden.mkdir(parents=True)
-        folder = open_locked(hidden, partial)
-        (hidden / MARKER).write_text(_MARK)
-        hidden.rename(partial)
-        return folder
+        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return None
     except OSError as error:
-        _discard(hidden)
-        close(folder)
-        if folder is not None and os.path.lexists(partial):
-            return None
-        raise InputError(f"{partial}: cannot be created ({error.strerror})") from None
+        _close(opened)
+        said = f"{folder}: cannot be locked ({error.strerror})"
+        if isinstance(error, NotADirectoryError):
+            said = f"{folder}: is in the way and is not a folder; move it or choose another --out"
+        elif isinstance(error, BlockingIOError):
+            said = f"{out}: another process is writing it (in {folder}); wait for it or choose another --out"
+        raise InputError(said) from None
+    return opened
 
 
-def _is_marked(folder: Path) -> bool:
-    path = folder / MARKER
-    return path.is_file() and path.read_bytes().startswith(b"turtlebag")
+def _mark(folder: Path) -> None:
+    """Mark an empty folder as ours; InputError for any other."""
+    if _content(folder):
+        raise InputError(
+            f"{folder}: is in the way and is not an unfinished output of turtlebag; "
+            "move it or choose another --out"
+        )
+    try:
+        with (folder / MARKER).open("x") as file:
+            file.write("turtlebag: this output is unfinished; the same command starts it over\n")
+    except OSError:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
-def _missing_parents(path: Path) -> list[Path]:
-    """Folders that have to be made for a path, the innermost first."""
-    return [parent for parent in path.parents if not parent.exists()]
+def _close(folder: int | None) -> None:
+    """Close a descriptor, and with it give up its lock."""
+    if folder is not None:
+        with suppress(OSError):  # given up before, by a process that was told to end while it did so
+            os.close(folder)
 
 
-def _hidden(path: Path) -> Path:
-    """A name of its own beside a path, for what is coming or going."""
-    return path.with_name(f"{_HIDDEN}{secrets.token_hex(8)}")
+def _is_same(folder: int, path: Path) -> bool:
+    """Whether a descriptor is still that of the folder at a path."""
+    status = os.fstat(folder)
+    return (status.st_dev, status.st_ino) == identity(path)
 
 
-def _left_over(place: Path) -> list[Path]:
-    """What an output replaced, and what killed processes left beside it: files of ours that no process
-    uses."""
-    found = []
-    for path in place.parent.iterdir():
-        old = re.fullmatch(re.escape(place.name) + r"\.old-[0-9a-f]{8}", path.name) is not None
-        if not (old or path.name.startswith(_HIDDEN)) or path.is_symlink() or not path.is_dir():
-            continue
-        if (_is_marked(path) or (old and is_output(path))) and not is_locked(path):
-            found.append(path)
-    return found
+def _content(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.name not in (MARKER, *JUNK)]
 
 
-def _discard(folder: Path) -> None:
-    """Remove a folder as far as that goes, its mark last: what a kill leaves of it is known again."""
-    with suppress(OSError):
-        for path in folder.iterdir():
-            if path.name != MARKER:
-                _remove(path)
-        shutil.rmtree(folder)
+def _left_over(place: Path, old: Path | None) -> list[Path]:
+    """What was replaced, now and by processes that were killed before they removed it."""
+    earlier = re.compile(re.escape(place.name) + r"\.old-[0-9a-f]{8}")
+    found = [path for path in place.parent.iterdir() if earlier.fullmatch(path.name) and path != old]
+    ours = [path for path in found if path.is_dir() and not path.is_symlink() and not any(strangers(path))]
+    return ours if old is None else [old, *ours]
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink()
+def _empty(folder: Path, *, but: str) -> None:
+    """Remove what is in a folder, but for the file of this name."""
+    for path in folder.iterdir():
+        if path.name != but:
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()

@@ -16,9 +16,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.output_lock import MARKER, OutputLock, lock_output, watch_inputs
-from turtlebag.datasets.output_rules import check_free
+from turtlebag.datasets.errors import InputError, Unfinished
+from turtlebag.datasets.files import JUNK, sha256_file
+from turtlebag.datasets.output_lock import OutputLock, lock_output, log, watch_inputs
+from turtlebag.datasets.output_rules import MANIFEST, MARKER, require_free
 
 PACKAGES = (
     "turtlebag",
@@ -42,12 +43,13 @@ def staged_output(
 ) -> Iterator[Path]:
     """Folder `OUT.partial` to write into; renamed to `out` on success, removed on any error.
 
-    Raises InputError at once when `out` exists and may not be replaced (`check_free`), or cannot be
-    written, or another process is writing it; and at the end when an input is not what it was. What a
-    killed process left is removed, with `save_bag` an unfinished bag is set aside.
+    Raises InputError at once when `out` exists and may not be replaced, or cannot be written, or another
+    process is writing it; and at the end when an input is not what it was. With `save_bag` a bag or session
+    that has begun to grow is kept as `OUT.unfinished` when the disk is full, the work fails or raises
+    Unfinished; bad input and Ctrl-C leave nothing.
     """
-    check_free(out, force=force, inputs=inputs, kind="folder")
     with lock_output(out, force=force, inputs=inputs) as lock, _growing(lock, save_bag=save_bag) as partial:
+        require_free(out, force=force, kind="folder")
         yield partial
         lock.finish()
 
@@ -55,8 +57,8 @@ def staged_output(
 @contextmanager
 def staged_file(out: Path, *, force: bool = False) -> Iterator[Path]:
     """A file in `OUT.partial` to write; moved to `out` on success, else removed, as `staged_output`."""
-    check_free(out, force=force, kind="file")
     with lock_output(out, force=force) as lock, _growing(lock) as partial:
+        require_free(out, force=force, kind="file")
         yield partial / out.name
         lock.finish(partial / out.name)
 
@@ -64,12 +66,21 @@ def staged_file(out: Path, *, force: bool = False) -> Iterator[Path]:
 @contextmanager
 def _growing(lock: OutputLock, *, save_bag: bool = False) -> Iterator[Path]:
     try:
-        yield lock.begin(save_bag=save_bag)
+        yield lock.begin()
     except BaseException as error:
+        refused = isinstance(error, InputError) and not isinstance(error, Unfinished)
+        kept = lock.rescued() if save_bag and isinstance(error, Exception) and not refused else None
         with suppress(OSError):
             lock.clear()
+        text = str(error)
         if isinstance(error, OSError) and error.errno is not None:
-            raise InputError(f"{error.filename or lock.out}: {error.strerror}") from None
+            text = f"{error.filename or lock.out}: {error.strerror}"
+        if kept and (text != str(error) or isinstance(error, Unfinished)):
+            raise Unfinished(f"{text}; {kept}", getattr(error, "code", 1)) from None
+        if kept:
+            log.warning(kept)
+        if text != str(error):
+            raise InputError(text) from None
         raise
     finally:
         lock.growing = False
@@ -86,7 +97,7 @@ class Output:
     _begun_s: float = field(default_factory=time.perf_counter, init=False, compare=False)
 
     def __post_init__(self) -> None:
-        check_free(self.folder, force=self.force, kind="folder")
+        require_free(self.folder, force=self.force, kind="folder")
 
     def staged(self, inputs: Iterable[Path] = (), *, save_bag: bool = False) -> AbstractContextManager[Path]:
         """The folder to write into, put in place at the end (`staged_output`)."""
@@ -117,14 +128,8 @@ class Output:
         write_manifest(partial, stage, self.command, inputs, wall_s=self.wall_s, seed=seed, extra=extra)
 
 
-NO_CONTENT = ("manifest.json", MARKER)
-"""Files of an output that say how it was made and how far it is."""
-
-
-def sha256_file(path: Path) -> str:
-    """Hex sha256 of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+NO_CONTENT = (MANIFEST, MARKER, *JUNK)
+"""Files of an output that say how it was made and how far it is, and nobody's."""
 
 
 def sha256_tree(path: Path) -> dict[str, str]:

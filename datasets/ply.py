@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import whole
 from turtlebag.datasets.se2 import Array
 
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "char": "i1", "ushort": "<u2", "short": "<i2",
@@ -39,7 +40,7 @@ def read_ply(path: Path) -> Array:
     if not lines or lines[0] != ["ply"] or ["format", "binary_little_endian", "1.0"] not in lines:
         raise InputError(f"{path}: not a binary little-endian PLY file")
     try:
-        count = next(int(words[2]) for words in lines if words[:2] == ["element", "vertex"])
+        count = next(whole(words[2]) for words in lines if words[:2] == ["element", "vertex"])
         layout = np.dtype([(words[2], _TYPES[words[1]]) for words in lines if words[0] == "property"])
         vertices = np.frombuffer(data, layout, count, end + len(b"end_header\n"))
         return np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)

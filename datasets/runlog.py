@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimals, whole
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Twist
 
@@ -130,10 +131,10 @@ class RunLog:
             for number, row in enumerate(rows, start=2):
                 try:
                     visible, low, goal, state, owner = row[13:]
-                    numbers = np.array([float(text) if text else float("nan") for text in row[1:13]])
+                    numbers = np.array(decimals([text or "nan" for text in row[1:13]]))
                     poses, (v, w, clearance) = map(SE2, numbers[:9].reshape(3, 3)), numbers[9:].tolist()
-                    flags = bool(int(visible)), bool(int(low)), int(goal)
-                    values = int(row[0]), *poses, Twist(v, w), clearance, *flags, state, owner
+                    flags = bool(whole(visible)), bool(whole(low)), whole(goal)
+                    values = whole(row[0]), *poses, Twist(v, w), clearance, *flags, state, owner
                     found.append(Row(*values))
                 except ValueError:
                     raise InputError(f"{path}, line {number}: not a row of a run log") from None

@@ -10,7 +10,8 @@ from typing import TextIO
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.number_text import decimal, decimals, whole
+from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.se3 import quaternions
 from turtlebag.datasets.types import Stamps, Trajectory
 
@@ -31,13 +32,13 @@ def stamp_from_text(text: str) -> int:
 
     ValueError when it is no number or more than 146 years from 0.
     """
+    seconds = decimal(text)
     if "e" in text.lower():
-        seconds = float(text)
         stamp = round(seconds * 1e9) if abs(seconds) < 1e10 else _END_OF_TIME_NS
     else:
         sign = -1 if text.startswith("-") else 1
-        whole, _, fraction = text.lstrip("+-").partition(".")
-        stamp = sign * (int(whole or "0") * 10**9 + int(fraction[:9].ljust(9, "0")))
+        before, _, after = text.lstrip("+-").partition(".")
+        stamp = sign * (whole(before or "0") * 10**9 + whole(after[:9].ljust(9, "0")))
     if abs(stamp) >= _END_OF_TIME_NS:
         raise ValueError(f"{text} s is not a plausible time")
     return stamp
@@ -105,7 +106,7 @@ class NumberLines:
         rows = []
         for index, (_, words) in enumerate(self.lines):
             try:
-                row = [float(word) for word in (words[:count] if at_least else words)]
+                row = decimals(words[:count] if at_least else words)
             except ValueError:
                 raise self.wrong(index, f"not numbers; expected {expected}") from None
             if len(row) != count or not all(abs(value) < 1e100 for value in row):
@@ -124,9 +125,32 @@ class NumberLines:
         return np.array(stamps, dtype=np.int64)
 
 
+TUM_LINE = "'t x y z qx qy qz qw'"
+W_FIRST = f"its quaternions have w first, as it seems (they roll and never turn); expected {TUM_LINE}"
+LEVEL = 0.02
+"""Sine of half the angle by which a body may pitch and yaw, and still only rolls: 2.3 degrees."""
+ROLL_RAD = 1.0
+"""No robot on the ground rolls that far."""
+
+
+def only_rolls(q: Array) -> bool:
+    """Whether poses with quaternions x, y, z, w (n, 4) only roll, and do it by far.
+
+    So look the poses of a robot on the ground whose w stands first: its turns about z are read as turns
+    about x. One that turned by less than `ROLL_RAD` is not noticed.
+    """
+    q = q / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-9)
+    roll = 2.0 * np.arctan2(q[:, 0], q[:, 3])
+    across = np.hypot(q[:, 1], q[:, 2]).max()
+    return bool(across < LEVEL and np.abs(wrap(roll - roll[0])).max() > ROLL_RAD)
+
+
 def load_tum(path: Path) -> Trajectory:
     """Read a TUM file (comments and blank lines allowed); only the planar part is kept."""
     lines = NumberLines.read(path)
-    _, x, y, _, qx, qy, qz, qw = lines.numbers(8, "'t x y z qx qy qz qw'").T
+    rows = lines.numbers(8, TUM_LINE)
+    if only_rolls(rows[:, 4:8]):
+        raise InputError(f"{path}: {W_FIRST}")
+    _, x, y, _, qx, qy, qz, qw = rows.T
     yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy**2 + qz**2))
     return Trajectory(lines.stamps(), SE2.from_xyt(x, y, yaw))

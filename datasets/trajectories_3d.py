@@ -11,11 +11,14 @@ import numpy as np
 
 from turtlebag.datasets.bags.plausibility import FAR_M
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, whole
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import lifted, planar, rotations
-from turtlebag.datasets.trajectories import NumberLines
+from turtlebag.datasets.trajectories import TUM_LINE, W_FIRST, NumberLines, only_rolls
 from turtlebag.datasets.types import Stamps, Trajectory
 
+SIDEWAYS = 0.1
+"""A path that is broader than this share of its length leads not only ahead."""
 FORMATS = "a trajectory has 8 numbers a line (TUM), 12 (KITTI), or commas between them (EuRoC csv)"
 
 
@@ -68,7 +71,10 @@ def read_trajectory_3d(path: Path, times: Path | None, scans_ns: Stamps) -> Traj
         return Trajectory3D(_nanoseconds(lines), _poses(lines, rows[:, 1:4], rows[:, [5, 6, 7, 4]]))
     if len(first) != 8:
         raise lines.wrong(0, f"{len(first)} words; {FORMATS}")
-    rows = lines.numbers(8, "'t x y z qx qy qz qw'")
+    rows = lines.numbers(8, TUM_LINE)
+    # A body that rolls in space is possible, in a pipe, say; but it moves where it looks.
+    if only_rolls(rows[:, 4:8]) and np.ptp(rows[:, 2]) > SIDEWAYS * np.ptp(rows[:, 1]):
+        raise InputError(f"{path}: {W_FIRST}")
     return Trajectory3D(lines.stamps(), _poses(lines, rows[:, 1:4], rows[:, 4:8]))
 
 
@@ -128,7 +134,7 @@ def _nanoseconds(lines: NumberLines) -> Stamps:
     stamps = []
     for index, (_, (word, *_)) in enumerate(lines.lines):
         try:
-            stamp = int(word) if word.lstrip("+-").isdigit() else float(word)
+            stamp = whole(word) if word.lstrip("+-").isdigit() else decimal(word)
         except ValueError:
             stamp = math.nan
         if stamp != stamp or stamp != int(stamp) or abs(stamp) >= 2**62:

@@ -18,10 +18,16 @@ Model = TypeVar("Model", bound=BaseModel)
 Loc = tuple[int | str, ...]
 """Keys that lead to a value, as pydantic names them."""
 # libyaml's, where it is there: the same in a fraction of the time.
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SAFE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 DEEPEST = 100
 """Collections within collections; libyaml would go on until the stack is full, and the process gone."""
+MOST_VALUES = 1_000_000
+"""Values of one text with its aliases written out: some 100,000 inputs of a session."""
+ONE_VALUE = 10_000
+"""Characters of a text that count as one value, so that aliases cannot repeat a long one without bound."""
+MOST_BYTES = 64 << 20
+MOST_DOCUMENTS = 10_000
 KINDS = {
     **dict.fromkeys(("tuple_type", "list_type"), "expected a list"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "expected keys and values"),
@@ -30,19 +36,56 @@ KINDS = {
 """Messages for values of the wrong type, without names of Python classes."""
 
 
+class _Loader(_SAFE):  # type: ignore[misc]
+    """YAML 1.1, but for its numbers to the base of 60: `1:30` is a text, as in YAML 1.2, not 90."""
+
+    def resolve(self, kind: type, value: str | None, implicit: object) -> str:
+        """The tag of a value."""
+        tag: str = super().resolve(kind, value, implicit)
+        number = tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+        return "tag:yaml.org,2002:str" if number and value is not None and ":" in value else tag
+
+
+LOADER: Any = _Loader
+
+
+class TooLarge(ValueError):
+    """YAML that would take minutes or gigabytes to read, however short its text is."""
+
+
 def read_yaml(path: Path, *, where: str) -> Any:
     """A YAML file as plain values; an InputError starts with `where`."""
+    return parsed(_text(path, where), where=where)
+
+
+def read_documents(path: Path, *, where: str) -> list[Any]:
+    """The documents of a YAML file, without empty ones: `ros2 topic echo` parts its messages by `---`."""
+    parts = re.split(r"(?m)^---[ \t]*$", _text(path, where))
+    if len(parts) > MOST_DOCUMENTS:
+        raise InputError(f"{where}: more than {MOST_DOCUMENTS} documents")
+    found: list[Any] = []
+    for number, part in enumerate(parts):
+        try:
+            found.append(parsed(part, where=where))
+        except InputError:  # the same once more, with the file's numbers of the lines
+            parsed("\n" * sum(above.count("\n") for above in parts[:number]) + part, where=where)
+            raise
+    return [document for document in found if document is not None]
+
+
+def _text(path: Path, where: str) -> str:
     if path.is_dir():
         raise InputError(f"{where}: is a folder; give a file")
     if not path.is_file():
         raise InputError(f"{where}: no such file")
     try:
-        text = path.read_text()
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(f"{where}: larger than {MOST_BYTES >> 20} MB")
+        return path.read_text()
     except OSError as error:
         raise InputError(f"{where}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{where}: not a text file") from None
-    return parsed(text, where=where)
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -64,7 +107,7 @@ def parsed(text: str, *, where: str) -> Any:
         # At the end of the text libyaml counts a line that is not there.
         line = "" if mark is None else f", line {min(mark.line + 1, len(text.splitlines()))}"
         raise InputError(f"{where}{line}: not valid YAML") from None
-    except RecursionError as error:
+    except TooLarge as error:
         raise InputError(f"{where}: {error}") from None
     except (ValueError, OverflowError) as error:
         # A date of the year 0, an integer of a million digits: YAML's own constructors refuse.
@@ -72,13 +115,37 @@ def parsed(text: str, *, where: str) -> Any:
 
 
 def plain_values(text: str) -> Any:
-    """Parse YAML; yaml.YAMLError, RecursionError or ValueError if that fails."""
-    depth = 0
-    for event in yaml.parse(text, Loader=LOADER):
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEEPEST:
-            raise RecursionError("nested too deeply to be read")
+    """Parse YAML; yaml.YAMLError or ValueError if that fails, TooLarge if it would take too long."""
+    _require_bounded(text)
     return yaml.load(text, Loader=LOADER)
+
+
+def _require_bounded(text: str) -> None:
+    """TooLarge unless the depth and what the aliases repeat are within bounds.
+
+    An alias is cheap to parse, but merge keys and whoever walks through the values write it out: ten lines
+    that each name the one above ten times are more than any memory holds.
+    """
+    count, started = 0, list[tuple[str | None, int]]()
+    sizes: dict[str | None, int] = {}
+    """Values below each anchor, its aliases written out."""
+    for event in yaml.parse(text, Loader=LOADER):
+        if isinstance(event, yaml.CollectionStartEvent):
+            started.append((event.anchor, count))
+            sizes[event.anchor] = MOST_VALUES  # until it ends: within itself it has no end
+            count += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = started.pop()
+            sizes[anchor] = count - before
+        elif isinstance(event, yaml.ScalarEvent):
+            sizes[event.anchor] = 1 + len(event.value) // ONE_VALUE
+            count += sizes[event.anchor]
+        elif isinstance(event, yaml.AliasEvent):
+            count += sizes.get(event.anchor, 1)  # one that names nothing is the loader's to refuse
+        if len(started) > DEEPEST:
+            raise TooLarge("nested too deeply to be read")
+        if count > MOST_VALUES:
+            raise TooLarge(f"more than {MOST_VALUES} values, with its aliases (*name) written out")
 
 
 def checked(model: type[Model], data: Any, *, where: str) -> Model:
@@ -119,7 +186,8 @@ def _without(data: Any, locs: Collection[Loc]) -> Any:
 
 def plain_message(error: ErrorDetails) -> str:
     """What is wrong with a value, without Python's words."""
-    said = error["msg"].removeprefix("Value error, ").partition(", unable to ")[0]
+    said = error["msg"].removeprefix("Value error, ").replace(" after validation", "")
+    said = said.partition(", unable to ")[0]
     return KINDS.get(error["type"], re.sub(r"^\w+ should ", "must ", said))
 
 

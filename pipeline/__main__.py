@@ -25,12 +25,14 @@ def run() -> int:
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(128 + number))
     try:
         from turtlebag.pipeline.cli.main import main
+        from turtlebag.pipeline.terminal.messages import tell_traceback
     except ImportError as error:
         from turtlebag.pipeline.setup.missing_package import missing_package
 
         print(missing_package(error), file=sys.stderr)
         return 2
 
+    sys.excepthook = tell_traceback
     if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     return main()

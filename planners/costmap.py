@@ -11,13 +11,17 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.grid import OCCUPIED, OCCUPIED_FROM, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.planners.grid_distance import GridDistance, descend, grid_distance
 
 Mask = NDArray[np.bool_]
+Area = Array | OccupancyGrid
+"""A keep-out area: a polygon, (n, 2) in the map frame, or a grid whose fully occupied cells it is."""
+BLOCK = 256
+"""Rows of a costmap that are looked up in a grid at once."""
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 SPECK_M2 = 0.06
 """Unknown patches smaller than this inside known floor count as free: gaps between beams (not measured)."""
@@ -134,15 +138,15 @@ inflated_cost_at = njit(cache=True)(inflated_cost)
 """The same of a number, for kernels."""
 
 
-def costmap_from_grid(grid: OccupancyGrid, config: CostmapConfig, keepout: Sequence[Array] = ()) -> Costmap:
-    """Costmap of an occupancy grid; `keepout` polygons, (n, 2) each in the map frame, are lethal."""
+def costmap_from_grid(grid: OccupancyGrid, config: CostmapConfig, keepout: Sequence[Area] = ()) -> Costmap:
+    """Costmap of an occupancy grid; `keepout` areas are lethal."""
     lethal = grid.cells >= OCCUPIED_FROM
     if config.unknown == "blocked":
         lethal |= _unknown_without_specks(grid)
     costmap = Costmap(lethal, grid.resolution, grid.T_map_grid)
     if not keepout:
         return costmap
-    areas = np.any([polygon_mask(costmap, polygon) for polygon in keepout], axis=0) & ~lethal
+    areas = np.any([area_mask(costmap, area) for area in keepout], axis=0) & ~lethal
     return Costmap(lethal | areas, grid.resolution, grid.T_map_grid, areas)
 
 
@@ -184,6 +188,26 @@ def ways_from(costmap: Costmap, T_map_base: SE2, radius: float) -> GridDistance 
     free, res = costmap.clearance > radius, costmap.resolution
     start = nearest_free(free, costmap.T_grid_map @ T_map_base.xy / res, SNAP_M / res)
     return None if start is None else grid_distance(free, *start, np.inf) * np.float32(res)
+
+
+def area_mask(costmap: Costmap, area: Area) -> Mask:
+    """Cells of a keep-out area."""
+    return _grid_mask(costmap, area) if isinstance(area, OccupancyGrid) else polygon_mask(costmap, area)
+
+
+def _grid_mask(costmap: Costmap, area: OccupancyGrid) -> Mask:
+    """Cells whose centre lies in an occupied cell of the area, or that hold the centre of one: so neither a
+    coarser nor a finer area has holes."""
+    whole = OccupancyGrid(np.zeros(costmap.lethal.shape, np.int8), costmap.resolution, costmap.T_map_grid)
+    rows, cols = whole.shape
+    mask = np.zeros(whole.shape, dtype=bool)
+    for first in range(0, rows, BLOCK):
+        block = np.moveaxis(np.mgrid[first : min(first + BLOCK, rows), 0:cols], 0, -1)
+        mask[first : first + BLOCK] = area.value_at(whole.center_of(block)) == OCCUPIED
+    cells = whole.cell_of(area.center_of(np.argwhere(area.cells == OCCUPIED)))
+    inside = cells[whole.contains(cells)]
+    mask[inside[:, 0], inside[:, 1]] = True
+    return mask
 
 
 def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:

@@ -6,12 +6,13 @@ a call's result depends on its arguments alone.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
@@ -19,13 +20,6 @@ from turtlebag.planners.footprint import Field32, disc_segment_free
 from turtlebag.planners.planner_names import PlannerName
 
 ROADMAPS = ("PRM", "PRMstar")
-IMPOSSIBLE = {
-    ("AORRTC", "dubins"): "crashes",
-    # Its batches of better states are found by rejection sampling, which no termination condition ends.
-    ("SORRTstar", "reeds_shepp"): "may never terminate",
-    ("SORRTstar", "dubins"): "may never terminate",
-}
-"""Planners that do not work in a space (OMPL 2.0.1)."""
 GOOD_ENOUGH = 1.02
 """Ratio to the length of the tightened grid path, or of the straight line between two poses, at which OMPL
 may stop."""
@@ -34,26 +28,28 @@ RANGE_M = 1.5
 shortest instead of 1.05."""
 
 
-Space = Literal["disc", "se2", "reeds_shepp", "dubins"]
+Space = Literal["disc", "se2"]
+REMOVED_SPACES = ("reeds_shepp", "dubins")
+"""For robots that cannot turn on the spot: there are none here."""
 
 
 class OmplConfig(Settings, allow_inf_nan=False):
     """The OMPL planner and its budget."""
 
+    REMOVED: ClassVar[Mapping[str, str]] = {"turning_radius": "robots here turn on the spot"}
     planner: PlannerName | None = None
     """None: BITstar for a disc, RRTConnect elsewhere."""
     space: Space = "disc"
-    """`disc` plans for the disc around the footprint; the others for the footprint itself, with heading."""
-    turning_radius: float = Field(default=0.3, gt=0.0, le=100.0)
-    """Minimum turning radius in reeds_shepp and dubins [m]."""
+    """`disc` plans for the disc around the footprint, `se2` for the footprint itself, with heading."""
     iterations: int = Field(default=4000, gt=0, le=1_000_000)
     """Budget in calls of the planner's termination condition: reproducible, unlike seconds."""
 
-    @model_validator(mode="after")
-    def _check(self) -> OmplConfig:
-        if why := IMPOSSIBLE.get((self.name, self.space)):
-            raise ValueError(f"{self.name} {why} in the {self.space} space: choose another planner or space")
-        return self
+    @field_validator("space", mode="before")
+    @classmethod
+    def _still_there(cls, space: Any) -> Any:
+        if space in REMOVED_SPACES:
+            raise ValueError(f"{space} is gone; se2 plans for the footprint with its heading")
+        return space
 
     @property
     def name(self) -> PlannerName:
@@ -84,7 +80,7 @@ def solve(
     ou.noOutputHandler()
     ou.RNG.setSeed(seed % (2**32 - 1) + 1)
     space = ob.RealVectorStateSpace(2)
-    space.setBounds(_bounds(ob, floor.inside, floor.resolution))
+    space.setBounds(floor_bounds(ob, floor.inside, floor.resolution))
     info = ob.SpaceInformation(space)
     rows, cols = floor.inside.shape
 
@@ -123,12 +119,12 @@ def exact_path(info: Any, ends: tuple[Any, Any], enough: float, config: OmplConf
         return _path_on_roadmap(planner, problem, config.iterations)
     planner.solve(iteration_limit(config.iterations))
     # PlannerStatus is truthy for approximate solutions too.
-    return _with_start(info, problem, ends[0]) if problem.hasExactSolution() else None
+    return solution_from(ends[0], info, problem) if problem.hasExactSolution() else None
 
 
-def _with_start(info: Any, problem: Any, start: Any) -> Any | None:
-    """The solution, with the start prepended if the planner left it out; None if it does not reach the start.
-    AORRTC repeats the goal when it is in sight."""
+def solution_from(start: Any, info: Any, problem: Any) -> Any | None:
+    """OMPL's solution of the problem, with the start prepended where the planner left it out: AORRTC gives
+    the goal alone when it is in sight. None where no motion leads from the start to its first state."""
     path = problem.getSolutionPath()
     first = path.getStates()[0]
     if info.distance(start, first) > 0.0:
@@ -168,7 +164,7 @@ def iteration_limit(iterations: int) -> Any:
     return ob.PlannerTerminationCondition(spent)
 
 
-def _bounds(ob: Any, inside: NDArray[np.bool_], resolution: float) -> Any:
+def floor_bounds(ob: Any, inside: NDArray[np.bool_], resolution: float) -> Any:
     """Bounding box of the searched floor."""
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     bounds = ob.RealVectorBounds(2)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.yaml_files import plain_values
+from turtlebag.datasets.yaml_files import read_mapping
 from turtlebag.reports.stages import Stage
 
 PANEL = "3D!turtlebag"
@@ -50,12 +51,16 @@ def _layout(stages: Sequence[Stage], frame: str) -> str:
 
 
 def topics_of(stage: Stage) -> set[str]:
-    """Names of the topics in a stage's bag, by its metadata; none for a stage without one."""
+    """Names of the topics in a stage's bag, by its metadata; none for a stage without one. InputError when it
+    cannot be read."""
     path = stage.folder / "bag/metadata.yaml"
     if not path.is_file():
         return set()
-    told = plain_values(path.read_text())["rosbag2_bagfile_information"]
-    return {entry["topic_metadata"]["name"] for entry in told["topics_with_message_count"]}
+    try:
+        topics = read_mapping(path)["rosbag2_bagfile_information"]["topics_with_message_count"]
+        return {str(topic["topic_metadata"]["name"]) for topic in topics}
+    except (KeyError, TypeError):
+        raise InputError(f"{path}: not the metadata of a bag") from None
 
 
 def _corners(grid: OccupancyGrid) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimals, whole
 from turtlebag.datasets.se2 import SE2, Array
 
 
@@ -57,14 +58,14 @@ def read_g2o(path: Path) -> PoseGraph:
         tag, *fields = line.split() or [""]
         try:
             if tag == "VERTEX_SE2":
-                x, y, yaw = (float(field) for field in fields[1:4])
-                poses[int(fields[0])] = [x, y, yaw]
+                x, y, yaw = decimals(fields[1:4])
+                poses[whole(fields[0])] = [x, y, yaw]
             elif tag == "VERTEX_SE3:QUAT":
-                x, y, _, qx, qy, qz, qw = (float(field) for field in fields[1:8])
+                x, y, _, qx, qy, qz, qw = decimals(fields[1:8])
                 yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-                poses[int(fields[0])] = [x, y, yaw]
+                poses[whole(fields[0])] = [x, y, yaw]
             elif tag in ("EDGE_SE2", "EDGE_SE3:QUAT"):
-                joined += [int(fields[0]), int(fields[1])]
+                joined += [whole(fields[0]), whole(fields[1])]
         except (ValueError, IndexError):
             raise InputError(f"{path}, line {number}: not a {tag} line") from None
     if not poses:

@@ -19,13 +19,14 @@ from turtlebag.datasets.bags.source import LOGS, PACKED, SUFFIXES
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.number_text import decimals
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import sha256_file, sha256_tree
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
 from turtlebag.datasets.types import Trajectory
-from turtlebag.datasets.yaml_files import checked, plain_values
+from turtlebag.datasets.yaml_files import checked, read_mapping
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
 # Files that tie stages together when their hashes agree; a shared config proves nothing.
@@ -88,10 +89,9 @@ class Stage:
 
     @cached_property
     def config(self) -> Mapping[str, Any]:
-        """Its resolved configuration, empty when it left none."""
+        """Its resolved configuration, empty when it left none; InputError when it cannot be read."""
         path = self.folder / "config.yaml"
-        data = plain_values(path.read_text()) if path.is_file() else {}
-        return data if isinstance(data, dict) else {}
+        return read_mapping(path) if path.is_file() else {}
 
     @cached_property
     def metrics(self) -> Mapping[str, Any]:
@@ -269,7 +269,7 @@ def read_path(path: Path) -> SE2:
         try:
             if not {"x", "y", "yaw"} <= set(reader.fieldnames or []):
                 raise KeyError
-            rows = [[float(row[name]) for name in ("x", "y", "yaw")] for row in reader]
+            rows = [decimals([row[name] for name in ("x", "y", "yaw")]) for row in reader]
         except (KeyError, TypeError, ValueError):
             raise InputError(f"{path}: not a path (expected columns x,y,yaw)") from None
     return SE2.from_array(np.array(rows).reshape(-1, 3))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal
 from turtlebag.datasets.seeds import stream
 from turtlebag.sim.shapes import Solid, box, cylinder
 
@@ -167,7 +168,7 @@ def seeded(
             raise InputError(f"{where}: has no option '{key}' (it has: {', '.join(limits)})")
         (low, high), whole = limits[key], isinstance(limits[key][0], int)
         try:
-            value = float(text)
+            value = decimal(text)
         except ValueError:
             value = math.nan
         if not low <= value <= high or (whole and value % 1.0):

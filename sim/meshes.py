@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, decimals, whole
 from turtlebag.datasets.se2 import Array
 
 
@@ -39,7 +40,7 @@ def _stl(path: Path) -> Array:
         )
         return records["f"][:, 3:].reshape(-1, 3, 3).astype(np.float64)
     words = [line.split() for line in data.decode().splitlines()]
-    corners = [[float(value) for value in word[1:4]] for word in words if word[:1] == ["vertex"]]
+    corners = [decimals(word[1:4]) for word in words if word[:1] == ["vertex"]]
     return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)
 
 
@@ -49,9 +50,9 @@ def _obj(path: Path) -> Array:
     for line in path.read_text().splitlines():
         word = line.split()
         if word[:1] == ["v"]:
-            corners.append([float(value) for value in word[1:4]])
+            corners.append(decimals(word[1:4]))
         elif word[:1] == ["f"]:
-            numbers = [int(part.split("/")[0]) for part in word[1:]]
+            numbers = [whole(part.split("/")[0]) for part in word[1:]]
             numbers = [n - 1 if n > 0 else len(corners) + n for n in numbers]
             faces += [[numbers[0], numbers[i], numbers[i + 1]] for i in range(1, len(numbers) - 1)]
     return np.array(corners, dtype=np.float64)[np.array(faces, dtype=np.int64).reshape(-1, 3)]
@@ -61,7 +62,7 @@ def _collada(path: Path) -> Array:
     root = ET.parse(path).getroot()
     space = root.tag.partition("}")[0] + "}" if root.tag.startswith("{") else ""
     unit = root.find(f"{space}asset/{space}unit")
-    metre = float(unit.get("meter", "1")) if unit is not None else 1.0
+    metre = decimal(unit.get("meter", "1")) if unit is not None else 1.0
     geometries = {str(g.get("id")): _geometry(g, space) for g in root.iter(f"{space}geometry")}
     placed = [
         part
@@ -75,13 +76,13 @@ def _collada(path: Path) -> Array:
 def _placed(node: ET.Element, transform: Array, geometries: dict[str, Array], space: str) -> list[Array]:
     """Triangles of a scene node and the nodes below it, moved by their matrices."""
     for matrix in node.findall(f"{space}matrix"):
-        transform = transform @ np.array([float(v) for v in (matrix.text or "").split()]).reshape(4, 4)
+        transform = transform @ np.array(decimals((matrix.text or "").split())).reshape(4, 4)
     for move in node.findall(f"{space}translate"):
         shift = np.eye(4)
-        shift[:3, 3] = [float(v) for v in (move.text or "").split()]
+        shift[:3, 3] = decimals((move.text or "").split())
         transform = transform @ shift
     for scale in node.findall(f"{space}scale"):
-        transform = transform @ np.diag([*(float(v) for v in (scale.text or "").split()), 1.0])
+        transform = transform @ np.diag([*decimals((scale.text or "").split()), 1.0])
     out = []
     for instance in node.findall(f"{space}instance_geometry"):
         triangles = geometries[str(instance.get("url", "")).lstrip("#")]
@@ -94,7 +95,7 @@ def _placed(node: ET.Element, transform: Array, geometries: dict[str, Array], sp
 def _geometry(geometry: ET.Element, space: str) -> Array:
     """Triangles of one COLLADA geometry (triangles and polylists)."""
     arrays = {
-        str(source.get("id")): np.array([float(v) for v in (values.text or "").split()]).reshape(-1, 3)
+        str(source.get("id")): np.array(decimals((values.text or "").split())).reshape(-1, 3)
         for source in geometry.iter(f"{space}source")
         if (values := source.find(f"{space}float_array")) is not None
         and len((values.text or "").split()) % 3 == 0
@@ -109,14 +110,14 @@ def _geometry(geometry: ET.Element, space: str) -> Array:
     for kind in ("triangles", "polylist", "polygons"):
         for group in geometry.iter(f"{space}{kind}"):
             inputs = group.findall(f"{space}input")
-            stride = 1 + max(int(i.get("offset", "0")) for i in inputs)
+            stride = 1 + max(whole(i.get("offset", "0")) for i in inputs)
             corner = next(i for i in inputs if i.get("semantic") == "VERTEX")
             positions = arrays[vertices[str(corner.get("source")).lstrip("#")]]
             for p in group.findall(f"{space}p"):
-                numbers = np.array([int(v) for v in (p.text or "").split()], dtype=np.int64)
-                index = numbers.reshape(-1, stride)[:, int(corner.get("offset", "0"))]
+                numbers = np.array([whole(v) for v in (p.text or "").split()], dtype=np.int64)
+                index = numbers.reshape(-1, stride)[:, whole(corner.get("offset", "0"))]
                 counts = (group.findtext(f"{space}vcount") or "").split() if kind == "polylist" else []
-                sizes = [int(c) for c in counts] or (
+                sizes = [whole(c) for c in counts] or (
                     [len(index)] if kind == "polygons" else [3] * (len(index) // 3)
                 )
                 parts.append(positions[_fans(index, sizes)])

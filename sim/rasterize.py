@@ -15,10 +15,13 @@ import scipy
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.sim.shapes import Mesh, Solid, contains
+from turtlebag.sim.shapes import Bools, Mesh, Solid, contains
 
 INSET_M = 1e-3
 """Surfaces are sampled this far inside the solid, so that one on a cell border falls in the solid's cell."""
+
+AT_ONCE = 1 << 20
+"""Cells times edges that are looked at together: a solid may fill the largest map."""
 
 
 def true_map(
@@ -40,9 +43,7 @@ def true_map(
     grid = OccupancyGrid(cells, resolution, SE2.from_xyt(x0 * resolution, y0 * resolution, 0.0))
 
     surface = _surface_cells(grid, solids, z)
-    rr, cc = np.indices((rows, cols))
-    centers = grid.center_of(np.stack([rr, cc], axis=-1)).reshape(-1, 2)
-    open_floor = ~surface & ~contains(solids, z, centers).reshape(rows, cols)
+    open_floor = ~surface & ~_filled_cells(grid, solids, z)
     regions, _ = scipy.ndimage.label(open_floor)
     start = grid.cell_of(np.asarray(start_xy))
     region = regions[tuple(start)] if grid.contains(start) else 0
@@ -54,28 +55,46 @@ def true_map(
     return grid
 
 
-def _surface_cells(grid: OccupancyGrid, solids: Sequence[Solid], z: float) -> np.ndarray:
+def _filled_cells(grid: OccupancyGrid, solids: Sequence[Solid], z: float) -> Bools:
+    """Cells whose centre lies within a solid, (rows, cols)."""
+    filled = np.zeros(grid.shape, dtype=bool)
+    last = np.array(grid.shape) - 1
+    for solid in solids:
+        x_min, x_max, y_min, y_max = solid.bounds()
+        corners = grid.cell_of(np.array([[x_min, y_min], [x_max, y_max]]))
+        (row, col), (end_row, end_col) = np.clip(corners, 0, last)
+        wide = (end_col - col + 1) * max(len(solid.polygon), 1)
+        high = max(AT_ONCE // wide, 1)
+        for low in range(row, end_row + 1, high):
+            part = np.s_[low : min(low + high, end_row + 1), col : end_col + 1]
+            centres = grid.center_of(np.stack([*np.mgrid[part]], axis=-1)).reshape(-1, 2)
+            filled[part] |= contains([solid], z, centres).reshape(filled[part].shape)
+    return filled
+
+
+def _surface_cells(grid: OccupancyGrid, solids: Sequence[Solid], z: float) -> Bools:
     """Cells through which an uncovered surface passes, (rows, cols) bool."""
     step = grid.resolution / 25.0
-    samples = [np.zeros((0, 2))]
-    for solid in solids:
+    out = np.zeros(grid.shape, dtype=bool)
+    bounds = np.array([solid.bounds() for solid in solids]).reshape(-1, 4)
+    for number, solid in enumerate(solids):
         points, outward = _outline(solid, z, step)
         # A stretch that is sunk in another solid is no surface.
-        others = [other for other in solids if other is not solid and _near(other, solid)]
+        near = np.flatnonzero(_near(bounds, bounds[number])).tolist()
+        others = [solids[other] for other in near if other != number]
         exposed = ~contains(others, z, points + 2.0 * INSET_M * outward)
-        samples.append((points - INSET_M * outward)[exposed])
-    hit = grid.cell_of(np.vstack(samples))
-    hit = hit[grid.contains(hit)]
-    out = np.zeros(grid.shape, dtype=bool)
-    out[hit[:, 0], hit[:, 1]] = True
+        hit = grid.cell_of((points - INSET_M * outward)[exposed])
+        hit = hit[grid.contains(hit)]
+        out[hit[:, 0], hit[:, 1]] = True
     return out
 
 
-def _near(a: Solid, b: Solid) -> bool:
-    ax0, ax1, ay0, ay1 = a.bounds()
-    bx0, bx1, by0, by1 = b.bounds()
+def _near(bounds: Array, own: Array) -> Bools:
+    """Which boxes (n, 4) of x_min, x_max, y_min, y_max overlap this one, or nearly, (n,)."""
     pad = 4.0 * INSET_M
-    return ax0 - pad < bx1 and bx0 - pad < ax1 and ay0 - pad < by1 and by0 - pad < ay1
+    x_min, x_max, y_min, y_max = bounds.T
+    beside = (x_min - pad < own[1]) & (own[0] - pad < x_max)
+    return np.asarray(beside & (y_min - pad < own[3]) & (own[2] - pad < y_max))
 
 
 def _outline(solid: Solid, z: float, step: float) -> tuple[Array, Array]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import scipy
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, decimals
 from turtlebag.datasets.se2 import Array
 from turtlebag.sim.meshes import load_mesh
 from turtlebag.sim.shapes import Solid, ball, cylinder, mesh, prism
@@ -21,6 +24,16 @@ UPRIGHT = 1e-6
 ROUND = 48
 """Corners of a tilted cylinder's rim."""
 
+PATHS = ("GAZEBO_MODEL_PATH", "GAZEBO_RESOURCE_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH")
+"""Variables with the folders in which Gazebo, by its version, looks for models."""
+FUEL = re.compile(
+    r"https?://(?:fuel|app)\.(?:gazebosim|ignitionrobotics)\.org/(?:[\d.]+/)?(?P<owner>[^/]+)/(?:fuel/)?models/"
+    r"(?P<name>[^/]+)(?:/(?:\d+|tip)(?=/|$))?(?:/files(?=/|$))?(?P<rest>.*)"
+)
+"""Where Gazebo's library of models has one, or a file of one."""
+FLOOR_AND_LIGHT = ("ground_plane", "sun")
+"""Models of nearly every world that no lidar sees: the floor is there anyway."""
+
 BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
@@ -28,8 +41,8 @@ def load_sdf(path: Path) -> tuple[str, list[Solid]]:
     """Name and solids of a .world or .sdf file; everything in it is static.
 
     Poses nest (model in model, link, collision); models' poses in a `<state>` override, as Gazebo
-    saves them. `<include>` is looked for beside the file and below the folders of GAZEBO_MODEL_PATH
-    and GAZEBO_RESOURCE_PATH. InputError names what cannot be read.
+    saves them. `<include>` is looked for beside the file, in folders `models` near it and on the paths of
+    Gazebo. InputError names what cannot be read, and all that is not found in one line.
     """
     root = _parse(path)
     world = root.find("world")
@@ -38,6 +51,11 @@ def load_sdf(path: Path) -> tuple[str, list[Solid]]:
     reader = _Reader(path)
     for number, (name, transform, collision) in enumerate(reader.collisions(top, reader.state_poses(world))):
         solids += reader.solid(f"{name}_{number}", transform, collision)
+    if reader.missing:
+        raise InputError(
+            f"{path}: not found: {', '.join(reader.missing)}; "
+            "put the models beside the file, or set GAZEBO_MODEL_PATH to the folder that holds them"
+        )
     return str(top.get("name") or path.stem), solids
 
 
@@ -58,7 +76,7 @@ def pose_matrix(text: str | None) -> Array:
     matrix = np.eye(4)
     if text is None or not text.strip():
         return matrix
-    values = [float(value) for value in text.split()]
+    values = decimals(text.split())
     if len(values) != 6 or not all(math.isfinite(value) for value in values):
         raise ValueError(f"pose '{' '.join(text.split())}' is not six finite numbers")
     (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:]), np.sin(values[3:])
@@ -76,8 +94,11 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        folders = os.environ.get("GAZEBO_MODEL_PATH", "") + ":" + os.environ.get("GAZEBO_RESOURCE_PATH", "")
-        self._folders = [path.parent, path.parent / "models", *map(Path, filter(None, folders.split(":")))]
+        self.missing: dict[str, None] = {}
+        """URIs of models and meshes that were not found, in order."""
+        near = [path.parent, path.parent / "models", path.parent.parent / "models"]
+        folders = ":".join(os.environ.get(name, "") for name in PATHS)
+        self._folders = [*near, *map(Path, filter(None, folders.split(":")))]
 
     def collisions(
         self, parent: ET.Element, state: dict[str, Array], base: Array | None = None, depth: int = 0
@@ -91,10 +112,12 @@ class _Reader:
             pose = state[name] if name in state else self._pose(model)
             yield from self._of_model(model, base @ pose, depth)
         for include in parent.findall("include"):
-            model = self._included(include)
-            pose = self._pose(include) if include.find("pose") is not None else self._pose(model)
+            found = self._included(_uri(include))
+            if found is None:
+                continue
+            pose = self._pose(include) if include.find("pose") is not None else self._pose(found)
             pose = state.get(include.findtext("name") or "", pose)
-            yield from self._of_model(model, base @ pose, depth)
+            yield from self._of_model(found, base @ pose, depth)
 
     def _of_model(
         self, model: ET.Element, transform: Array, depth: int
@@ -118,11 +141,14 @@ class _Reader:
         except ValueError as error:
             raise InputError(f"{self._path}: {element.tag} {element.get('name')}: {error}") from None
 
-    def _included(self, include: ET.Element) -> ET.Element:
-        uri = (include.findtext("uri") or "").strip()
-        folder = self._find(uri)
+    def _included(self, uri: str) -> ET.Element | None:
+        """The model that a URI names; None for the floor, the sun and what is not found."""
+        if _is_floor_or_light(uri):
+            return None
+        folder = self._find(uri) if uri else None
         if folder is None:
-            raise InputError(f"{self._path}: include {uri}: not found; set GAZEBO_MODEL_PATH to its folder")
+            self.missing[uri or "an include without a uri"] = None
+            return None
         files = (
             [folder] if folder.is_file() else sorted(folder.glob("model.sdf")) or sorted(folder.glob("*.sdf"))
         )
@@ -135,7 +161,8 @@ class _Reader:
         return model
 
     def _find(self, uri: str) -> Path | None:
-        relative = uri.split("://", 1)[-1].lstrip("/")
+        fuel = FUEL.fullmatch(uri)
+        relative = unquote(fuel["name"]) + fuel["rest"] if fuel else uri.split("://", 1)[-1].lstrip("/")
         # model://name/meshes/x.dae: the name may be the folder that the file itself lies in.
         parts = Path(relative).parts
         names = [Path(relative), Path(*parts[1:])] if len(parts) > 1 else [Path(relative)]
@@ -146,12 +173,15 @@ class _Reader:
         return None
 
     def solid(self, name: str, transform: Array, collision: ET.Element) -> list[Solid]:
-        """The solids of one collision; none for a plane or a shape that is out of the robot's world."""
+        """The solids of one collision; none for a plane, a shape that is out of the robot's world and a mesh
+        that is not found."""
         geometry = collision.find("geometry")
         shape = None if geometry is None else next(iter(geometry), None)
         if shape is None or shape.tag in ("plane", "empty", "heightmap"):
             return []
         try:
+            if shape.tag == "mesh":
+                return self._mesh(name, transform, shape)
             return [self._shape(name, transform, shape)]
         except (ValueError, TypeError) as error:
             raise InputError(f"{self._path}: {name}: {shape.tag}: {error}") from None
@@ -170,7 +200,7 @@ class _Reader:
             rim = np.stack([radius * np.cos(angles), radius * np.sin(angles), up], axis=-1)
             return mesh(name, _hull(np.vstack([rim, rim * [1, 1, -1]])) @ rotation.T + position)
         if shape.tag == "box":
-            size = np.array([float(value) for value in (shape.findtext("size") or "").split()])
+            size = np.array(decimals((shape.findtext("size") or "").split()))
             if size.shape != (3,) or not np.all(np.isfinite(size) & (size > 0.0)):
                 raise ValueError("its size is not three positive numbers")
             if not upright:
@@ -178,18 +208,32 @@ class _Reader:
             flat = BOX_CORNERS[[0, 4, 6, 2]] * size
             outline = (flat @ rotation.T + position)[:, :2]
             return prism(name, outline, (float(position[2] - size[2] / 2), float(position[2] + size[2] / 2)))
-        if shape.tag == "mesh":
-            uri = (shape.findtext("uri") or "").strip()
-            file = self._find(uri)
-            if file is None or not file.is_file():
-                raise ValueError(f"{uri} not found; set GAZEBO_MODEL_PATH to the folder of its model")
-            scale = np.array([float(value) for value in (shape.findtext("scale") or "1 1 1").split()])
-            return mesh(name, (load_mesh(file) * scale) @ rotation.T + position)
         raise ValueError("unknown shape")
+
+    def _mesh(self, name: str, transform: Array, shape: ET.Element) -> list[Solid]:
+        uri = _uri(shape)
+        file = self._find(uri) if uri else None
+        if file is None or not file.is_file():
+            self.missing[uri or "a mesh without a uri"] = None
+            return []
+        scale = np.array(decimals((shape.findtext("scale") or "1 1 1").split()))
+        return [mesh(name, (load_mesh(file) * scale) @ transform[:3, :3].T + transform[:3, 3])]
+
+
+def _uri(element: ET.Element) -> str:
+    return " ".join((element.findtext("uri") or "").split())
+
+
+def _is_floor_or_light(uri: str) -> bool:
+    fuel = FUEL.fullmatch(uri)
+    if fuel is not None and (fuel["owner"].lower() != "openrobotics" or fuel["rest"].strip("/")):
+        return False
+    name = unquote(fuel["name"]) if fuel else uri.removeprefix("model://").rstrip("/")
+    return name.lower().replace(" ", "_") in FLOOR_AND_LIGHT
 
 
 def _number(shape: ET.Element, key: str) -> float:
-    value = float(shape.findtext(key) or "nan")
+    value = decimal(shape.findtext(key) or "nan")
     if not (math.isfinite(value) and value > 0.0):
         raise ValueError(f"its {key} is not a positive number")
     return value

@@ -13,7 +13,9 @@ from turtlebag.sim.meshes import load_mesh
 from turtlebag.sim.movers import Mover
 from turtlebag.sim.shapes import Solid, box, cylinder, mesh, prism
 
+MOST_SHAPES = 20_000
 Point = tuple[Finite, Finite]
+Points = Annotated[list[Point], Field(max_length=1000)]
 
 
 class _AnyShapeSpec(Settings):
@@ -56,7 +58,7 @@ class PrismSpec(_ShapeSpec):
     """An upright prism over a convex outline."""
 
     kind: Literal["prism"]
-    polygon: list[Point] = Field(min_length=3)
+    polygon: Points = Field(min_length=3)
 
     def solid(self, folder: Path) -> Solid:
         """The solid it describes."""
@@ -90,7 +92,7 @@ class MoverSpec(Settings):
     z: tuple[Finite, Finite] = (0.0, 1.0)
     size: tuple[Positive, Positive] | None = None
     radius: Positive | None = None
-    path: list[Point] = Field(min_length=1)
+    path: Points = Field(min_length=1)
     speed: Positive
     loop: bool = False
     wander: tuple[Finite, Finite, Finite, Finite] | None = None
@@ -120,10 +122,10 @@ class WorldSpec(Settings):
     options: dict[str, list[str]] = Field({})
     """Choices, the default first, made as in `name:key=value`."""
     bounds: tuple[Finite, Finite, Finite, Finite] | None = None
-    shapes: list[ShapeSpec]
-    movers: list[MoverSpec] = Field([])
-    keepout: list[list[Point]] = Field([])
-    routes: dict[str, list[Point]] = Field({})
+    shapes: list[ShapeSpec] = Field(max_length=MOST_SHAPES)
+    movers: list[MoverSpec] = Field([], max_length=100)
+    keepout: list[Points] = Field([], max_length=1000)
+    routes: dict[str, Points] = Field({}, max_length=1000)
 
 
 class GeneratorSpec(Settings):

@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimals
 from turtlebag.datasets.parts import find, is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.clutter import cluttered
 from turtlebag.sim.generators import GENERATORS, LIMITS, seeded
-from turtlebag.sim.raycast import distance_to_point
+from turtlebag.sim.raycast import first_with_room
 from turtlebag.sim.sdf import load_sdf
 from turtlebag.sim.shapes import Solid, contains, sections
 from turtlebag.sim.world import World, WorldMaker
-from turtlebag.sim.world_files import GeneratorSpec, WorldSpec
+from turtlebag.sim.world_files import MOST_SHAPES, GeneratorSpec, WorldSpec
 
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
@@ -124,10 +125,15 @@ def _from_sdf(path: Path, settings: str) -> World:
         raise InputError(f"{path}: an SDF world has no option '{key}' (it has: spawn)")
     name, solids = load_sdf(path)
     if not solids:
-        raise InputError(f"{path}: contains no static boxes, cylinders, spheres or meshes")
+        raise InputError(
+            f"{path}: contains no static boxes, cylinders, spheres or meshes; "
+            "for a world without obstacles use --world empty"
+        )
+    if len(solids) > MOST_SHAPES:
+        raise InputError(f"{path}: {len(solids)} shapes; a world has at most {MOST_SHAPES}")
     bounds = _mappable(bounds_of(tuple(solids), 2.0), str(path))
     try:
-        spawn = SE2.from_xyt(*(float(part) for part in value.split("/"))) if value else None
+        spawn = SE2.from_xyt(*decimals(value.split("/"))) if value else None
     except (TypeError, ValueError):
         raise InputError(f"{path}: spawn={value}: expected x/y/yaw") from None
     spawn = spawn if spawn is not None else _roomy_place(solids, bounds)
@@ -151,8 +157,7 @@ def _roomy_place(solids: list[Solid], bounds: tuple[float, float, float, float])
     points = np.vstack([np.zeros(2), np.stack([x.ravel(), y.ravel()], axis=-1)])
     points = points[np.argsort(np.hypot(*points.T), kind="stable")]
     points = points[~contains(solids, 0.2, points)]
-    rooms = np.array([distance_to_point(px, py, outlines.segments, outlines.circles) for px, py in points])
-    best = int(np.argmax(rooms > 0.5)) if np.any(rooms > 0.5) else int(np.argmax(rooms))
+    best = first_with_room(points, 0.5, outlines.segments, outlines.circles)
     return SE2.from_xyt(points[best, 0], points[best, 1], 0.0)
 
 

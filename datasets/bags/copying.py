@@ -1,4 +1,4 @@
-"""Copy messages from one bag to another: the same bytes, or translated between ROS 1 and ROS 2."""
+"""Copy messages from one bag to another: the same bytes, or translated from ROS 1 to ROS 2."""
 
 from __future__ import annotations
 
@@ -6,22 +6,27 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
+import yaml
 from rosbags.interfaces.typing import Typesdict
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.message import Message, Topic
-from turtlebag.datasets.bags.topics import definition, typestore
+from turtlebag.datasets.bags.topics import Message, Topic, definition, qos_profiles, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
 
 
+DAMAGED = (SerdeError, struct.error, ValueError, IndexError, OverflowError)
+"""What rosbags raises for a message that is not as its definition says."""
+
+
 class Untranslatable(ValueError):
-    """The definition of a type is unknown or cannot be expressed in the other layout."""
+    """The definition of a type is unknown or cannot be expressed in ROS 2's layout."""
 
 
 def completed(topic: Topic) -> Topic:
@@ -34,8 +39,8 @@ def completed(topic: Topic) -> Topic:
     )
 
 
-def store_of(topic: Topic, *, ros2_header: bool) -> Typestore:
-    """Types of one topic's definition, with the header of ROS 2 or of ROS 1."""
+def _store_of(topic: Topic) -> Typestore:
+    """Types of one topic's definition, with the header of ROS 2."""
     store = get_typestore(Stores.EMPTY)
     try:
         if not topic.definition:
@@ -44,8 +49,7 @@ def store_of(topic: Topic, *, ros2_header: bool) -> Typestore:
             types = _types_from_idl(topic.definition)
         else:
             types = dict(get_types_from_msg(topic.definition, topic.msgtype))
-        standard = typestore() if ros2_header else get_typestore(Stores.ROS1_NOETIC)
-        types[_HEADER] = standard.fielddefs[_HEADER]
+        types[_HEADER] = typestore().fielddefs[_HEADER]
         types.setdefault(_TIME, typestore().fielddefs[_TIME])
         store.register(types)
     except (TypesysError, KeyError, IndexError) as error:
@@ -65,7 +69,7 @@ def _types_from_idl(text: str) -> Typesdict:
 
 def to_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     """The topic as ROS 2 has it, and the translation of its messages from ROS 1's layout."""
-    store = store_of(topic, ros2_header=True)
+    store = _store_of(topic)
     text, _ = store.generate_msgdef(topic.msgtype, ros_version=2)
     msgtype = RENAMED.get(topic.msgtype, topic.msgtype)
     renamed = Topic(topic.name, msgtype, text, "ros2msg", topic.qos)
@@ -77,19 +81,13 @@ def to_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     return renamed, lambda data: bytes(store.ros1_to_cdr(data, source))
 
 
+@lru_cache(maxsize=256)
 def as_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     """A topic of either layout as ROS 2 has it, with its definition, and the translation of its messages."""
     translate: Callable[[bytes], bytes] = bytes
     if topic.encoding == "ros1":
         topic, translate = to_ros2(topic)
     return completed(topic), translate
-
-
-def to_ros1(topic: Topic) -> tuple[str, str, Callable[[bytes], bytes]]:
-    """ROS 1's definition text and md5 sum of a topic, and the translation of its CDR messages."""
-    store = store_of(topic, ros2_header=True)
-    text, digest = store_of(topic, ros2_header=False).generate_msgdef(topic.msgtype, ros_version=1)
-    return text, digest, lambda data: bytes(store.cdr_to_ros1(data, topic.msgtype))
 
 
 def is_latched(topic: Topic) -> bool:
@@ -112,6 +110,7 @@ class Copier:
         self._writers: dict[Topic, Write | None] = {}
         self._skipped: dict[str, str] = {}
         self._damaged: Counter[str] = Counter()
+        self._no_qos: list[str] = []
         self.count = 0
 
     def write(self, message: Message) -> None:
@@ -124,12 +123,17 @@ class Copier:
             return
         try:
             write(message)
-        except (SerdeError, struct.error, ValueError, IndexError, OverflowError):
+        except DAMAGED:
             self._damaged[topic.name] += 1
         else:
             self.count += 1
 
     def _writer(self, topic: Topic) -> Write | None:
+        try:
+            qos_profiles(topic.qos)
+        except (ValueError, yaml.YAMLError):
+            self._no_qos.append(topic.name)
+            topic = replace(topic, qos="")
         try:
             return self._register(topic)
         except Untranslatable as error:
@@ -142,6 +146,7 @@ class Copier:
         """What was left out."""
         return [
             *(f"skipped {text}" for text in self._skipped.values()),
+            *(f"{name}: its quality of service cannot be read and is left out" for name in self._no_qos),
             *(f"{name}: {count} damaged messages left out" for name, count in self._damaged.items()),
         ]
 

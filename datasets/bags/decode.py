@@ -126,7 +126,11 @@ class RawScan(NamedTuple):
 
 
 class RawPose(NamedTuple):
-    """A stamped planar pose with its frames; the quaternion is x, y, z, w."""
+    """A stamped planar pose with its frames; the quaternion is x, y, z, w.
+
+    `twist`: forward and sideways speed [m/s] and yaw rate [rad/s] of the child frame, zeros where the type
+    has none.
+    """
 
     stamp_ns: int
     frame: str
@@ -134,6 +138,7 @@ class RawPose(NamedTuple):
     x: float
     y: float
     quaternion: tuple[float, ...]
+    twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def yaw(self) -> float:
@@ -178,6 +183,11 @@ def yaws_of(quaternions: Array) -> Array:
     return np.where(np.isfinite(norm) & (norm > 0.0), yaws, np.nan)
 
 
+def header(cursor: Cursor) -> tuple[int, str]:
+    """Stamp [ns] and frame of any message that begins with a header."""
+    return cursor.header()
+
+
 def laser_scan(cursor: Cursor) -> RawScan:
     """sensor_msgs/LaserScan."""
     stamp, frame = cursor.header()
@@ -189,8 +199,10 @@ def odometry(cursor: Cursor) -> RawPose:
     """nav_msgs/Odometry."""
     stamp, frame = cursor.header()
     child = cursor.string()
-    x, y, _, *quaternion = cursor.take("d", 49)[:7]  # a covariance and the twist follow
-    return RawPose(stamp, frame, child, x, y, tuple(quaternion))
+    values = cursor.take("d", 49)  # pose, its covariance, twist; the twist's covariance follows
+    return RawPose(
+        stamp, frame, child, values[0], values[1], values[3:7], (values[43], values[44], values[48])
+    )
 
 
 def pose_stamped(cursor: Cursor) -> RawPose:

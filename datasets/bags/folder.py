@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
-from typing import Self
+from typing import IO, Self, cast
 
 from mcap.writer import Writer
 
@@ -24,26 +24,72 @@ CHUNK_NS = 1_000_000_000
 """... or spans this time, whichever comes first: so much is lost at the most when the writer is killed."""
 
 
+class _Chunks:
+    """The stream that the MCAP library writes to: a file that ends with a whole chunk, whatever happens.
+
+    Bytes are held until `flush`, and where they have no room the file is cut to what it was before.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb", buffering=0)
+        self._path, self._size, self._rest = path, 0, bytearray()
+
+    def write(self, data: bytes) -> int:
+        """Take bytes."""
+        self._rest += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Where the next byte goes."""
+        return self._size + len(self._rest)
+
+    @property
+    def held(self) -> int:
+        """How many bytes are held."""
+        return len(self._rest)
+
+    def flush(self) -> None:
+        """Hand what is held to the operating system; OSError when it has no room."""
+        left = memoryview(bytes(self._rest))
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError:
+            os.ftruncate(self._file.fileno(), self._size)
+            self._file.seek(self._size)
+            raise
+        self._size = self.tell()
+        self._rest.clear()
+
+    def close(self, least: int) -> None:
+        """Close the file; one of no more than so many bytes is removed."""
+        self._file.close()
+        if self._size <= least:
+            self._path.unlink()
+
+
 class BagFolder:
-    """A context manager. Ctrl-C closes properly; any other error leaves the bag visibly unfinished."""
+    """A context manager. Whatever ends it, the bag is closed properly where there is room; else its file has
+    all chunks for which there was, for `bag recover`, and no file is left where there was none for any."""
 
     def __init__(self, folder: Path, *, custom: Mapping[str, str]) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if (folder / METADATA_FILE).exists():
                 raise FileExistsError
-            self._file = (folder / DATA_FILE).open("xb")
+            self._file = _Chunks(folder / DATA_FILE)
+            self._mcap = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+            self._mcap.start("ros2", "turtlebag")
+            if custom:  # at the beginning, where a crash cannot take it away
+                self._mcap.add_metadata(CUSTOM_RECORD, dict(custom))
+            self._mcap.flush()
         except FileExistsError:
             raise InputError(f"{folder}: already holds a bag; choose another folder") from None
         except OSError as error:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
         self._folder = folder
         self._custom = dict(custom)
-        self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
-        self._mcap.start("ros2", "turtlebag")
-        if custom:  # at the beginning, where a crash cannot take it away
-            self._mcap.add_metadata(CUSTOM_RECORD, self._custom)
-        self._mcap.flush()
+        self._begun = self._file.tell()
         self._topics: list[tuple[str, str, str, str]] = []
         self._counts: list[int] = []
         self._schemas: dict[tuple[str, str, str], int] = {}
@@ -55,14 +101,15 @@ class BagFolder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None or issubclass(kind, KeyboardInterrupt):
-            self.close()
-        elif not self._closed:
+        if kind is not None and not any(self._counts):
             self._closed = True
-            with suppress(OSError):  # of a full disk, which the error told
-                self._mcap.flush()
-            with suppress(OSError):
-                self._file.close()
+            self._file.close(least=self._file.tell())
+            return
+        try:
+            self.close()
+        except OSError:
+            if kind is None:
+                raise  # else the error told of the full disk
 
     def add_topic(
         self,
@@ -99,6 +146,8 @@ class BagFolder:
         if abs(log_time_ns - self._flushed_ns) >= CHUNK_NS:
             self._mcap.flush()
             self._flushed_ns = None
+        elif self._file.held:
+            self._file.flush()
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -106,15 +155,21 @@ class BagFolder:
         return (self._first_ns, self._last_ns) if any(self._counts) else (0, 0)
 
     def close(self) -> None:
-        """Finish the file, then write metadata.yaml."""
+        """Finish the file, then write metadata.yaml; OSError when there is no room, once for all."""
         if self._closed:
             return
         self._closed = True
-        self._mcap.flush()
-        information = bag_metadata(self._topics, self._counts, self.span_ns, self._custom)
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
-        self._mcap.finish()
-        self._file.close()
         unfinished = self._folder / (METADATA_FILE + ".tmp")
-        unfinished.write_text(metadata_text({"rosbag2_bagfile_information": information}))
-        unfinished.rename(self._folder / METADATA_FILE)
+        try:
+            self._mcap.flush()
+            information = bag_metadata(self._topics, self._counts, self.span_ns, self._custom)
+            self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
+            self._mcap.finish()
+            self._file.flush()
+            unfinished.write_text(metadata_text({"rosbag2_bagfile_information": information}))
+            unfinished.rename(self._folder / METADATA_FILE)
+        except OSError:
+            unfinished.unlink(missing_ok=True)
+            raise
+        finally:
+            self._file.close(least=self._begun)

@@ -2,21 +2,26 @@
 
 Layout: http://wiki.ros.org/Bags/Format/2.0. It has no checksums, so a flipped byte inside a message is not
 detected; one in the structure ends the reading or is skipped.
+
+Writers of 2010 state a wrong length for the index records. rosbag does not read it: it goes by the number of
+entries in their headers, and so does this reader.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Generator, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 
-from turtlebag.datasets.bags.message import Message, Topic, Wanted, full_type
 from turtlebag.datasets.bags.sequential import Damage, SequentialReader, State, unpacked_chunk
-from turtlebag.datasets.bags.topics import TOPICS, metadata_text
+from turtlebag.datasets.bags.topics import TOPICS, Message, Topic, Wanted, full_type, metadata_text
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
+_ENTRY_BYTES = {4: 12, 6: 8}
+"""Bytes of an entry of the index records: of a chunk's messages, and of a chunk's topics."""
 _OPERATIONS = range(2, 8)
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
 _LONGEST_HEADER = 1 << 24
@@ -46,7 +51,10 @@ class Ros1Reader(SequentialReader):
         self, at: int, wanted: Wanted | None, unpacked: Unpacked
     ) -> Generator[Message, None, int]:
         header, start, size = _record(self._data, at, len(self._data))
-        operation, body = header["op"][0], self._data[start : start + size]
+        operation = header["op"][0]
+        if operation in _ENTRY_BYTES:
+            return self._after_index(header, start, size, _ENTRY_BYTES[operation])
+        body = self._data[start : start + size]
         if len(body) < size and operation != _CHUNK:
             raise Damage("the file ends inside a record")
         if operation == _CHUNK:
@@ -61,6 +69,20 @@ class Ros1Reader(SequentialReader):
         elif operation == _HEADER:
             self.state.indexed = any(header.get("index_pos", b""))
             self.state.claimed_chunks = _number(header, "chunk_count")
+        return start + size
+
+    def _after_index(self, header: dict[str, bytes], start: int, size: int, entry_bytes: int) -> int:
+        """Where the record after an index record begins; the stated size counts only where the entries do not
+        lead to one."""
+        end = len(self._data)
+        if len(header.get("count", b"")) == 4:
+            after = start + entry_bytes * _number(header, "count")
+            with suppress(Damage):
+                if after != end:
+                    _record(self._data, after, end)
+                return after
+        if start + size > end:
+            raise Damage("the file ends inside a record")
         return start + size
 
     def _end(self) -> None:

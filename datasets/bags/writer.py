@@ -26,8 +26,7 @@ class BagWriter(BagFolder):
     """Writes a bag of our topics; a context manager.
 
     A chunk reaches the operating system after each second of recording at the latest, so a kill
-    loses less than two. metadata.yaml and the file's index are written by `close` only; Ctrl-C
-    closes properly, any other error leaves the bag visibly unfinished, for `bag recover`.
+    loses less than two. metadata.yaml and the file's index are written by `close` only.
     """
 
     def __init__(self, folder: Path, *, custom: Mapping[str, str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,14 +27,23 @@ BAG = "bag"
 """The factor whose levels are the campaign's bags."""
 COLUMNS = frozenset({"case", "failed", "error"})
 """What every row of the table holds besides factors and results."""
+OWN_OUTPUT = re.compile(r"""(^|[\s'"|])--out([=\s'"|]|$)""")
+"""An option of a stage's command that a campaign sets itself."""
 Scalar = bool | int | float | str
+MOST_CASES = 100_000
 
 
 class Range(Settings):
     """Whole numbers from `first` to `last`, both included."""
 
-    first: int
-    last: int
+    first: int = Field(ge=-(10**9), le=10**9)
+    last: int = Field(ge=-(10**9), le=10**9)
+
+    @model_validator(mode="after")
+    def _countable(self) -> Range:
+        if self.last - self.first >= MOST_CASES:
+            raise ValueError(f"more than {MOST_CASES} values")
+        return self
 
 
 class Uniform(Settings):
@@ -51,7 +61,8 @@ def _of_one_kind(data: Any, validated: ValidatorFunctionWrapHandler) -> Any:
         return validated(data)
     except ValidationError:  # it speaks of each kind in turn
         raise ValueError(
-            "expected a list of values, {first, last} of whole numbers, {low, high}, or texts by name"
+            "expected a list of values, {first, last} of whole numbers, {low, high}, or texts by name, of "
+            f"{MOST_CASES} values at most"
         ) from None
 
 
@@ -107,7 +118,7 @@ class Campaign(Settings):
     seed: int = 1
     bags: list[str] = Field([])
     factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
-    sample: Annotated[int, Field(ge=1)] | None = None
+    sample: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = None
     stages: dict[str, str]
     shared: list[str] = Field([])
     results: dict[str, Result]
@@ -146,6 +157,7 @@ class Campaign(Settings):
             raise ValueError("needs `factors` or `bags`")
         if clash := set(self.factor_names) & set(self.stages):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a stage")
+        self._outputs_are_the_campaigns()
         for stage in self.shared:
             if stage not in self.stages:
                 raise ValueError(f"shared: {stage} is not a stage of this campaign")
@@ -169,6 +181,16 @@ class Campaign(Settings):
                     raise ValueError(f"{kind}.{name}: the table has a column {name} of its own; rename it")
         if clash := set(self.factor_names) & set(self.results):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a result; rename one")
+
+    def _outputs_are_the_campaigns(self) -> None:
+        """No stage says where it writes to."""
+        texts = {f"stages.{stage}": line for stage, line in self.stages.items()}
+        for name, levels in self.factors.items():
+            if isinstance(levels, dict):
+                texts |= {f"factors.{name}.{level}": text for level, text in levels.items()}
+        for where, text in texts.items():
+            if OWN_OUTPUT.search(text):
+                raise ValueError(f"{where}: --out is set by the campaign; remove it")
 
     def _levels_are_there(self) -> None:
         for name, levels in self.factors.items():

@@ -2,29 +2,71 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
-from turtlebag.pipeline.campaign.case import Row
+from turtlebag.pipeline.campaign.case import Row, Where, kept_at
+from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.campaign.figures import draw_figures, words
-from turtlebag.pipeline.campaign.progress import PAGE, Worst
 from turtlebag.pipeline.campaign.statistics import PairedSummary, compare_pairs, levels_of, summarise
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import write_table
+from turtlebag.pipeline.campaign.worst import Worst
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 
 MANY = 100
 """A factor of more levels has no statistics of each, and the table no file for each."""
+PAGE = "index.html"
+FEW = 100
+"""About so many cases are looked at for a result that no row has."""
 MOST_FAILURES = 1000
 """So many failed cases are listed."""
+
+
+def absent_results(campaign: Campaign, todo: Sequence[Case], rows: Sequence[Row], where: Where) -> list[str]:
+    """A line for each result that is in no finished case's metrics.json, as when its path is misspelt; one
+    that is there and null (not measured) is not absent."""
+    finished = {row["case"]: row for row in rows if not row["failed"]}
+    done = [case for case in todo if case.name in finished]
+    lines = []
+    for name, result in campaign.results.items():
+        if not done or any(row[name] is not None for row in finished.values()):
+            continue
+        stage, _, path = result.at.partition(":")
+        found = [_kept_metrics(case, campaign, where, stage) for case in done[:: 1 + len(done) // FEW]]
+        paths = list(dict.fromkeys(key for metrics in found for key in _paths(metrics)))
+        if path not in paths:
+            near = get_close_matches(path, paths, 1)
+            meant = f"; did you mean {stage}:{near[0]}?" if near else ""
+            lines.append(f"results.{name}: no case has {result.at}{meant}")
+    return lines
+
+
+def _kept_metrics(case: Case, campaign: Campaign, where: Where, stage: str) -> dict[str, Any]:
+    content = None
+    if stage in case.commands:
+        content = where.runs.read(f"{kept_at(case, campaign, where.maker, stage)}/metrics.json")
+    return {} if content is None else json.loads(content)
+
+
+def _paths(metrics: Mapping[str, Any], before: str = "") -> Iterator[str]:
+    """The dotted paths of single values."""
+    for key, value in metrics.items():
+        if isinstance(value, Mapping):
+            yield from _paths(value, f"{before}{key}.")
+        elif not isinstance(value, list):
+            yield f"{before}{key}"
 
 
 def write_results(
@@ -74,9 +116,12 @@ def write_results(
             words=words,
         )
 
-    (folder / PAGE).write_text(page("" if runs.is_local else f"{runs.url}/"))
-    if not runs.is_local:
-        runs.put(PAGE, page("").encode())
+    place = Path(runs.at("")) if runs.is_local else None
+    if place == folder.absolute():
+        (folder / PAGE).write_text(page(""))
+        return
+    (folder / PAGE).write_text(page(f"{runs.url if place is None else place.as_uri()}/"))
+    runs.put(PAGE, page("").encode())
 
 
 def _partition(campaign: Campaign, few: Sequence[str]) -> str:

@@ -7,17 +7,35 @@ names the files and the columns: where it is, the table is whole.
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.yaml_files import checked
 from turtlebag.pipeline.campaign.store import Store, or_else
 
 RESULTS = "results"
 INDEX = "results.json"
+LOCKED = ("enable_external_access = false", "python_enable_replacements = false", "lock_configuration = true")
+"""Settings of DuckDB under which a query reaches nothing but the table: no file, no variable of ours."""
+
+TYPE = re.compile(r'("NULL")|[A-Z][A-Z0-9_ ]*(\(\d+, ?\d+\))?')
+"""A type of DuckDB: it becomes part of a statement."""
+
+
+class Index(Settings):
+    """What names the files and the columns of a table, with their types in DuckDB's words."""
+
+    columns: dict[str, str]
+    partition: str
+    files: list[Annotated[str, Field(pattern=rf"^{RESULTS}/[^/]+=[^/]*/[^/]+\.parquet$")]]
 
 
 def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) -> None:
@@ -56,8 +74,8 @@ def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) ->
 
 
 def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """(column names, rows) of a query in which the table is called `runs`; InputError for bad SQL, and for a
-    store without a table."""
+    """(column names, rows) of a SELECT in which the table is called `runs`, and which can read nothing else;
+    InputError for any other SQL, and for a store without a table."""
     import duckdb
 
     content = None
@@ -65,20 +83,41 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         content = store.read(INDEX)
     if content is None:
         raise InputError(f"{store.url}: not a finished campaign (it has no {INDEX})")
-    index = json.loads(content)
-    partition, columns = index["partition"], index["columns"]
+    index = _index(content, f"{store.url}/{INDEX}")
     with duckdb.connect() as connection:
         try:
-            files = ", ".join(f"'{_quoted(path)}'" for path in _paths(connection, store, index["files"]))
-            kind = f"hive_partitioning = true, hive_types = {{{_column(partition)}: {columns[partition]}}}"
-            chosen = ", ".join(_column(name) for name in columns)
-            connection.execute(f"CREATE VIEW runs AS SELECT {chosen} FROM read_parquet([{files}], {kind})")
-            result = connection.execute(sql)
-            if result is None or result.description is None:
+            _load(connection, store, index)
+            for setting in LOCKED:
+                connection.execute(f"SET {setting}")
+            statements = connection.extract_statements(sql)
+            if not statements:
                 raise InputError("--query: is empty; for example: SELECT * FROM runs")
-            return [column[0] for column in result.description], result.fetchall()
+            if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
+                raise InputError("--query: only one SELECT is run; for example: SELECT * FROM runs")
+            result = connection.execute(statements[0])
+            return [column[0] for column in result.description or ()], result.fetchall()
         except duckdb.Error as error:
             raise InputError(f"--query: {str(error).splitlines()[0]}") from None
+
+
+def _index(content: bytes, where: str) -> Index:
+    try:
+        data = json.loads(content)
+    except (ValueError, RecursionError):
+        raise InputError(f"{where}: not readable JSON") from None
+    index = checked(Index, data, where=where)
+    if not TYPE.fullmatch(index.columns.get(index.partition, "")):
+        raise InputError(f"{where}: partition: {index.partition} is not a column with a type of DuckDB")
+    return index
+
+
+def _load(connection: Any, store: Store, index: Index) -> None:
+    """The table `runs` in DuckDB's memory."""
+    files = ", ".join(f"'{_quoted(path)}'" for path in _paths(connection, store, index.files))
+    part = index.partition
+    kind = f"hive_partitioning = true, hive_types = {{{_column(part)}: {index.columns[part]}}}"
+    chosen = ", ".join(_column(name) for name in index.columns)
+    connection.execute(f"CREATE TABLE runs AS SELECT {chosen} FROM read_parquet([{files}], {kind})")
 
 
 def _paths(connection: Any, store: Store, names: Sequence[str]) -> list[str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal, decimals, whole
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.terminal.messages import note_degrees
 
@@ -71,14 +72,28 @@ def seed(text: str) -> int:
 
 
 def positive(text: str) -> float:
-    """A finite number of more than 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    """A number of more than 0, and neither endless nor so small that what is divided by it is."""
+    value = _number(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
+    if not 0.001 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"must be 0.001 to 1000000, not {text}")
     return value
+
+
+def seconds(text: str) -> float:
+    """A finite number, 0 or more."""
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a number of seconds, 0 or more, not {text}")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return decimal(text)
+    except ValueError:
+        return math.nan
 
 
 def count(text: str) -> int:
@@ -88,7 +103,7 @@ def count(text: str) -> int:
 
 def _whole(text: str, least: int) -> int:
     try:
-        value = int(text)
+        value = whole(text)
     except ValueError:
         value = -1
     if value < least:
@@ -100,7 +115,7 @@ def pose(text: str, option: str) -> SE2:
     """`X,Y,YAW`, finite and of plausible size; InputError names the option."""
     parts = text.split(",")
     try:
-        values = [float(part) for part in parts]
+        values = decimals(parts)
     except ValueError:
         raise InputError(f"{option} {text}: expected X,Y,YAW (metres and radians)") from None
     if len(values) != 3:

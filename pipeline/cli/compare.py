@@ -16,7 +16,7 @@ from turtlebag.pipeline.cli.other_systems import (
     systems_named,
 )
 from turtlebag.pipeline.cli.parser import Parser
-from turtlebag.pipeline.terminal.messages import print_table
+from turtlebag.pipeline.terminal.messages import print_table, say
 
 if TYPE_CHECKING:
     from turtlebag.reports.compare import Comparison
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print_outputs(found)
     if args.out is not None:
-        print(args.out / "index.html")
+        say(args.out / "index.html")
     return 0
 
 
@@ -74,15 +74,15 @@ def make(args: argparse.Namespace) -> Comparison | SystemComparison:
 
 def _print_outputs(found: Comparison) -> None:
     for key, one, other in found.settings:
-        print(f"{key}: {one} -> {other}")
+        say(f"{key}: {one} -> {other}")
     rows = [(row.label, row.a, row.b, row.difference, row.relative) for row in found.rows]
     print_table([("", "A", "B", "B - A", ""), *rows] if rows else [])
-    print(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
+    say(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
 
 
 def _print_systems(found: SystemComparison) -> None:
     for name, note in found.notes:
-        print(f"{name}: {note}")
+        say(f"{name}: {note}")
     texts = [(row.spec.label, *row.texts, row.spec.evo) for row in found.rows]
     print_table([("", *found.names, "evo"), *texts], left=(0, -1))
-    print(found.sentence)
+    say(found.sentence)

@@ -12,14 +12,14 @@ from functools import cache
 from types import FrameType
 from typing import NoReturn
 
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.files import signatures
 from turtlebag.datasets.output_lock import lock_output, release_all
 from turtlebag.pipeline.cli.arguments import named_inputs
 from turtlebag.pipeline.cli.parser import REMOVED, RENAMED, Parser, add_action
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.interrupts import handled
-from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
+from turtlebag.pipeline.terminal.messages import Words, guarded_streams, one_line, set_verbosity, show_cursor
 
 # The line of `turtlebag --help` for each verb. A verb's module here has `EXAMPLE`, `add_arguments(parser)`
 # and, unless each action has its own, `run(args) -> int`; it is imported only when the verb is used.
@@ -96,18 +96,21 @@ def parsed(argv: Sequence[str]) -> argparse.Namespace:
         raise InputError(f"{verb} is now called {RENAMED[verb]}")
     if verb in REMOVED:
         raise InputError(f"{verb} is gone; {REMOVED[verb]}")
-    return build_parser(verb).parse_args(joined(argv))
+    try:
+        return build_parser(verb).parse_args(joined(argv))
+    except SystemExit:  # after --help or --version, if that could be written
+        sys.stdout.flush()
+        raise
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    """End at once on Ctrl-C or SIGTERM, and leave no incomplete output.
+    """End at once on Ctrl-C, SIGTERM or SIGHUP, and leave no incomplete output.
 
     Nothing is raised: an exception would surface inside running compiled code, which reports it as its own
     error or crashes.
     """
     release_all()
-    if sys.stderr.isatty():
-        sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
+    show_cursor()
     print("turtlebag: interrupted", file=sys.stderr, flush=True)
     os._exit(128 + number)
 
@@ -159,8 +162,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 print(f"turtlebag: {stdout.problem}; the rest of the output is lost", file=sys.stderr)
             return code
         except InputError as error:
-            print(f"turtlebag: {error}", file=sys.stderr)
-            return EXIT_INPUT
+            print(f"turtlebag: {one_line(error)}", file=sys.stderr)
+            return error.code if isinstance(error, Unfinished) else EXIT_INPUT
         except ImportError as error:
             print(missing_package(error), file=sys.stderr)
             return EXIT_INPUT
@@ -168,7 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return EXIT_OK
         except OSError as error:  # a full disk, no permission: the system's own words, in one line
             where = error.filename or getattr(args, "out", None) or verb
-            print(f"turtlebag: {where}: {error.strerror or error}", file=sys.stderr)
+            print(f"turtlebag: {one_line(where)}: {one_line(error.strerror or error)}", file=sys.stderr)
             return EXIT_INPUT
         except MemoryError:
             print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)

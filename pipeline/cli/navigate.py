@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.cli.arguments import count, initial_pose, output, pose, positive, refuse, start_of
 from turtlebag.pipeline.cli.parser import OrOwn, Parser
+
+if TYPE_CHECKING:
+    from turtlebag.planners.costmap import Area
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -56,7 +59,7 @@ def add_arguments(parser: Parser) -> None:
     parser.flag("--wiggle", "first turn back and forth until the particles converge")
     text = "override cmd_vel by keyboard, or by a YAML list of intervals with begin, end, v and w"
     parser.option("--teleop-override", "keyboard|FILE", text)
-    text = "YAML file with keep-out polygons under 'keepout' (default: the world's own)"
+    text = "YAML file with keep-out polygons, or a map yaml as a mask (default: the world's own)"
     parser.option("--keepout", "FILE|none", text)
     parser.add_config()
     parser.add_output()
@@ -114,8 +117,8 @@ def _refuse_unused(args: argparse.Namespace) -> None:
             refuse(args, [name], "needs a map; give --map or remove it")
 
 
-def _keepout(text: str | None) -> tuple[Array, ...] | None:
-    """The outlines of a file, or none; None: the world's own."""
+def _keepout(text: str | None) -> tuple[Area, ...] | None:
+    """The areas of a file, or none; None: the world's own."""
     if text is None:
         return None
     if text == "none":

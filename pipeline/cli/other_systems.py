@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.number_text import decimal
 from turtlebag.pipeline.cli.arguments import pose
 from turtlebag.pipeline.cli.parser import Parser
 
@@ -99,7 +100,7 @@ def _by_name(words: Sequence[str], names: dict[str, dict[str, Path]], option: st
 
 def _seconds(text: str) -> float:
     try:
-        value = float(text)
+        value = decimal(text)
     except ValueError:
         value = math.nan
     if not abs(value) < 4e9:

@@ -17,10 +17,14 @@ RENAMED = {
     **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
 }
 """Present names of verbs and options by their former ones, for the error that a former one is."""
-REMOVED = dict.fromkeys(
-    ("ablate", "blame"),
-    "give map or navigate a part that knows the truth, e.g. --set front_end=turtlebag.testing:TrueFrontEnd",
-)
+REMOVED: dict[str, str] = {
+    **dict.fromkeys(
+        ("ablate", "blame"),
+        "give map or navigate a part that knows the truth, "
+        "e.g. --set front_end=turtlebag.testing:TrueFrontEnd",
+    ),
+    "teleop --view": "turtlebag studio shows the scan and the map while you drive",
+}
 """What to use in place of verbs and options that are gone; an option as `verb --option`."""
 
 
@@ -88,7 +92,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """--out and --force."""
         self.option("--out", what, text, Path, required=required)
-        self.flag("--force", "replace --out if it exists")
+        self.flag("--force", "replace --out if it is an output of ours that nobody has changed")
 
     def add_config(self) -> None:
         """--config and --set."""

@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.arguments import output, refuse, seed
 from turtlebag.pipeline.cli.parser import Parser
@@ -88,7 +88,7 @@ def _live(
 
     from turtlebag.pipeline.stages.studio import studio_output
     from turtlebag.pipeline.studio.server import serve
-    from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
+    from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
     from turtlebag.pipeline.terminal.messages import log, say
 
     def ready() -> None:
@@ -106,6 +106,10 @@ def _live(
     ):
         try:
             asyncio.run(serve(session, access, sockets, interrupted=interrupted, ready=ready))
+            session.close()
+            require_no_hangup(interrupted)
+        except (OSError, Unfinished):  # a full disk: the output cannot be finished, what there is is kept
+            raise
         except Exception as error:
             failure = error
             log.error(f"the session failed; its data are kept in {out}")

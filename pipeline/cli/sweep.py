@@ -52,12 +52,13 @@ def run(args: argparse.Namespace) -> int:
 def _answer(place: str, sql: str) -> int:
     from turtlebag.pipeline.campaign.store import Store
     from turtlebag.pipeline.campaign.table import query
+    from turtlebag.pipeline.terminal.messages import one_line
     from turtlebag.reports.stages import read_json
 
     manifest = Path(place, "manifest.json")
     store = read_json(manifest).get("store", place) if manifest.is_file() else place
     names, rows = query(Store(str(store)), sql)
-    print("\t".join(names))
+    print("\t".join(map(one_line, names)))
     for row in rows:
-        print("\t".join("" if value is None else str(value) for value in row))
+        print("\t".join("" if value is None else one_line(value) for value in row))
     return 0

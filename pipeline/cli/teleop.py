@@ -9,13 +9,12 @@ from turtlebag.pipeline.cli.arguments import output, positive, start_of
 from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.stages.settings import load_config
 
-EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
+EXAMPLE = "turtlebag teleop --world turtlebot3_world --out data/records/mine"
 
 
 def add_arguments(parser: Parser) -> None:
     """Arguments of the command."""
     parser.add_world(1)
-    parser.flag("--view", "draw the scan and the map as it grows")
     text = "keys: W A S D (default); turtlebot3: the keys of turtlebot3_teleop"
     parser.add_argument("--style", choices=("keys", "turtlebot3"), default="keys", help=text)
     parser.option("--speed", "X", "speed relative to real time (default: 1)", positive, default=1.0)
@@ -32,13 +31,12 @@ def run(args: argparse.Namespace) -> int:
     options = load_config(RecordOptions, args.config, args.settings)
     scene = Scene.load(args.world, args.robot, args.seed, options.sim, start_of(args))
     state = keyboard_teleop.KeyState(scene.robot.limits, args.style)
-    table = keyboard_teleop.TABLES[args.style]
-    keyboard_teleop.show(table + "\n")
-    with keyboard_teleop.keys_of(sys.stdin.fileno()) as read_keys, redrawn(whole_screen=args.view) as redraw:
+    keyboard_teleop.show(keyboard_teleop.TABLES[args.style] + "\n")
+    with keyboard_teleop.keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
         return record_drive(
             scene,
             keyboard_teleop.keyboard_driver(state, read_keys, keyboard_teleop.clock(args.speed)),
             f"keyboard:{args.style}",
             output(args),
-            watch=keyboard_teleop.View(scene.robot, state, args.view, redraw, keys=table),
+            watch=keyboard_teleop.StatusLine(state, redraw),
         )

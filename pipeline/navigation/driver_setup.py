@@ -13,7 +13,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.parts import find, is_own
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver import Task
@@ -30,8 +30,8 @@ from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.teleop_override import load_script
-from turtlebag.pipeline.terminal.messages import note_degrees
-from turtlebag.planners.costmap import Costmap, costmap_from_grid
+from turtlebag.pipeline.terminal.messages import log_notes, note_degrees
+from turtlebag.planners.costmap import Area, Costmap, costmap_from_grid
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from turtlebag.sim.robots import RobotSpec
@@ -62,10 +62,10 @@ class Request:
     wiggle: bool = False
     teleop_override: Literal["keyboard"] | Path | None = None
     """Source of overrides: the keyboard, or a file of intervals instead of the configured ones."""
-    keepout: tuple[Array, ...] | None = None
-    """Keep-out outlines (n, 2); None for the world's own."""
+    keepout: tuple[Area, ...] | None = None
+    """Keep-out areas; None for the world's own."""
     keepout_path: Path | None = None
-    """The file that the outlines were read from."""
+    """The file that the areas were read from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Mission:
 
 
 def prepare(
-    request: Request, robot: RobotSpec, config: NavigateConfig, keepout: Sequence[Array] = ()
+    request: Request, robot: RobotSpec, config: NavigateConfig, keepout: Sequence[Area] = ()
 ) -> Mission:
     """Check a request and load its files; InputError before anything is written.
 
@@ -89,6 +89,8 @@ def prepare(
     """
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
+    if request.timeout_s is not None and request.timeout_s > LONGEST_S:
+        raise InputError(f"--timeout {request.timeout_s:g}: at most {LONGEST_S:g} s")
     config = config.model_copy(update={"sim": config.sim.resolved(robot)})
     if isinstance(request.teleop_override, Path):
         load_script(request.teleop_override)
@@ -139,6 +141,7 @@ def _places(request: Request) -> WaypointFile:
     if request.waypoints_path is None:
         return tutorial_patrol()
     found = load_waypoints(request.waypoints_path)
+    log_notes(found.notes)
     for number, waypoint in enumerate(found.waypoints, start=1):
         if waypoint.T_map_goal is not None:
             note_degrees(f"waypoint {number}", waypoint.written[2])
@@ -151,7 +154,7 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     if request.task == "goal":
         changes.update(SINGLE_GOAL)
     if request.timeout_s is not None:
-        changes["timeout"] = min(request.timeout_s, LONGEST_S)
+        changes["timeout"] = request.timeout_s
     if request.laps is not None:
         changes["laps"] = request.laps
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import yaml
 from pydantic import Field, model_validator
@@ -25,6 +25,7 @@ from turtlebag.planners.control.controller import SpeedLimits, ramped
 from turtlebag.sim.robots import PERIOD_S
 
 Owner = Literal["navigation", "teleop"]
+Speed = Annotated[float, Field(ge=-100.0, le=100.0)]
 
 
 class Interval(Settings, allow_inf_nan=False):
@@ -32,8 +33,8 @@ class Interval(Settings, allow_inf_nan=False):
 
     begin: float = Field(ge=0.0)
     end: float = Field(le=LONGEST_S)
-    v: float = 0.0
-    w: float = 0.0
+    v: Speed = 0.0
+    w: Speed = 0.0
 
     @model_validator(mode="after")
     def _lasts(self) -> Interval:
@@ -47,7 +48,7 @@ class TeleopOverrideConfig(Settings, allow_inf_nan=False):
 
     monitor: bool = True
     """Whether the collision monitor also limits teleop commands; without it a person can push obstacles."""
-    speed: float = Field(default=1.0, gt=0.0)
+    speed: float = Field(default=1.0, ge=0.01, le=100.0)
     """Simulation speed with a keyboard, relative to real time."""
     script: tuple[Interval, ...] = ()
     """Overrides by script; intervals without a gap between them count as one."""

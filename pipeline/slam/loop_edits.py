@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
@@ -29,6 +29,12 @@ class RejectedLoop(Settings):
 
     scan: ScanNumber
     place: ScanNumber
+
+    @model_validator(mode="after")
+    def _of_two(self) -> RejectedLoop:
+        if self.scan == self.place:
+            raise ValueError("scan and place are the same scan")
+        return self
 
 
 class AddedLoop(RejectedLoop):

@@ -49,9 +49,9 @@ class LoopConfig(Settings):
         description="aligns loops: our point-to-line alignment, Open3D's ICP, or your own class",
     )
     every: int = Field(default=3, gt=0, description="key scans between queries")
-    group: int = Field(default=6, gt=0, description="key scans before and after it that form a place")
+    group: int = Field(default=6, gt=0, le=100, description="key scans before and after it that form a place")
     min_path_m: float = Field(default=6.0, gt=0.0, description="distance driven since the first visit")
-    reach_m: float = Field(default=4.0, gt=0.0, description="largest search distance")
+    reach_m: float = Field(default=4.0, gt=0.0, le=50.0, description="largest search distance")
     held_m: float = Field(
         default=0.2,
         ge=0.0,

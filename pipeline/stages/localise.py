@@ -11,6 +11,7 @@ import numpy as np
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.outputs import Output, Stopwatch
@@ -100,6 +101,7 @@ def localise(
             raise InputError(f"--truth {truth}: {error}") from None
     log_notes(recording.notes)
     metrics = {"scans": len(recording), "log_s": recording.duration(), **delay_metrics(recording), **outcome}
+    metrics |= metrics_of(recording.findings)
     with out.staged() as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import map_files, save_map
 from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.parts import source_files
@@ -20,9 +22,9 @@ from turtlebag.pipeline.navigation.episode import Audience, drive
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import save_truth
-from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
+from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
 from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
-from turtlebag.planners.costmap import polygon_mask
+from turtlebag.planners.costmap import area_mask
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
@@ -42,7 +44,8 @@ def navigate(
 
     What counts is the truth, `true_success` of the metrics: a robot that believes that it has reached its
     goal and stands elsewhere has failed. Interrupted at the keyboard of an override, 130 or 143: what was
-    driven until then cannot be driven again, and is kept.
+    driven until then cannot be driven again, and is kept. Unfinished when the disk is full or the terminal
+    was closed: what there is of the run is kept beside the output.
 
     `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
     besides those of the request. InputError, with nothing written, for bad goals and unreadable maps.
@@ -58,9 +61,8 @@ def navigate(
     }
     known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
-    at_once: nullcontext[list[int]] = nullcontext([])
     with (
-        deferred_interrupt() if by_hand else at_once as interrupted,
+        deferred_interrupt() if by_hand else deferred_interrupt([signal.SIGHUP]) as interrupted,
         Simulator(world, mission.robot, mission.config.sim, request.seed) as simulator,
         out.staged(save_bag=True) as folder,
     ):
@@ -71,6 +73,7 @@ def navigate(
         ):
             news = News(_opening(world, mission), log.info, clock)
             episode = drive(simulator, mission, Audience(bag, say, news, interrupted), overrides)
+        require_no_hangup(interrupted)
         metrics, loop_s, parts = episode.metrics, out.wall_s, _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")
@@ -151,16 +154,18 @@ def _inputs(request: Request) -> dict[str, Path]:
         inputs["waypoints"] = request.waypoints_path
     if request.keepout_path is not None:
         inputs["keepout"] = request.keepout_path
+        if any(isinstance(area, OccupancyGrid) for area in request.keepout or ()):
+            inputs["keepout_image"] = map_files(request.keepout_path)["map_image"]
     return inputs
 
 
 def _refuse_outlines_off(mission: Mission) -> None:
-    """InputError for an outline of --keepout that covers no cell of the map: it would keep out of nothing."""
+    """InputError for an area of --keepout that covers no cell of the map: it would keep out of nothing."""
     if mission.costmap is None or mission.request.keepout_path is None:
         return
-    for number, outline in enumerate(mission.request.keepout or (), start=1):
-        if not polygon_mask(mission.costmap, outline).any():
+    for number, area in enumerate(mission.request.keepout or (), start=1):
+        if not area_mask(mission.costmap, area).any():
             raise InputError(
                 f"--keepout {mission.request.keepout_path}: keepout {number}: lies outside the map "
-                f"{mission.request.map_path}; correct its corners or remove it"
+                f"{mission.request.map_path}; correct it or remove it"
             )

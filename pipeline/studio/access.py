@@ -121,7 +121,10 @@ def listen(host: str, port: int) -> list[socket.socket]:
 class CheckedHandler(RequestHandler):
     """A request that is answered only when `access` of the application's settings lets it in."""
 
-    needs_token = True
+    @property
+    def needs_token(self) -> bool:
+        """Whether it is answered only with the token."""
+        return True
 
     def set_default_headers(self) -> None:
         """What every answer bears, refusals included."""
@@ -170,9 +173,12 @@ class Page(CheckedHandler):
 
 
 class Part(Page):
-    """Scripts and styles, by name. They are the same for everybody and public: no token is needed."""
+    """A file by its name. Scripts and styles are the same for everybody and public; pages need the token."""
 
-    needs_token = False
+    @property
+    def needs_token(self) -> bool:
+        """Whether it is a page, by whatever spelling of its name."""
+        return self.path_args[0].endswith(".html")
 
 
 def page_files(folder: Path) -> dict[str, Path]:

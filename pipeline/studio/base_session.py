@@ -64,6 +64,8 @@ class BaseSession(ABC):
         try:
             line = self._done(entry)
         except OSError as error:
+            if entry.do == "end":  # nobody can do better
+                raise
             raise InputError(f"{entry.do}: {error.filename or self._folder}: {error.strerror}") from None
         self.ended = entry.do == "end"
         if entry.do not in DRIVING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
@@ -25,6 +25,7 @@ Pose = tuple[Coordinate, Coordinate, Coordinate]
 Outline = Annotated[list[Point], Field(min_length=3, max_length=200)]
 ScanNumber = Annotated[int, Field(strict=True, ge=0, le=10**8)]
 MOST_WAYPOINTS = 500
+LONGEST_BAG_S = 1e7
 DRIVING = ("drive", "stop", "release")
 """Inputs that hold until the next one: intervals in `session.yaml`; all others have a time."""
 
@@ -116,23 +117,32 @@ class Seek(Settings):
     """Continue the bag from this time after its start [s]."""
 
     do: Literal["seek"] = "seek"
-    t: Annotated[float, Field(strict=True, ge=0.0, le=1e7, allow_inf_nan=False)]
+    t: Annotated[float, Field(strict=True, ge=0.0, le=LONGEST_BAG_S, allow_inf_nan=False)]
 
 
-class Scans(Settings):
+class _Pair(Settings):
+    """Two different scans."""
+
+    scan: ScanNumber
+    place: ScanNumber
+
+    @model_validator(mode="after")
+    def _of_two(self) -> _Pair:
+        if self.scan == self.place:
+            raise ValueError("scan and place are the same scan")
+        return self
+
+
+class Scans(_Pair):
     """Two scans of a loop, to be overlaid, or rejected as different places."""
 
     do: Literal["loop_show", "loop_reject"]
-    scan: ScanNumber
-    place: ScanNumber
 
 
-class LoopAdd(Settings):
+class LoopAdd(_Pair):
     """Two scans of the same place: `scan` is roughly at `pose` relative to `place`."""
 
     do: Literal["loop_add"]
-    scan: ScanNumber
-    place: ScanNumber
     pose: Pose
 
 
@@ -223,4 +233,4 @@ def parse_input(data: Any, where: str = "input") -> Input:
         # The first part of the place is `do` itself.
         place = ".".join(str(part)[:64] for part in first["loc"][1:])
         said = "unknown key" if first["type"] == "extra_forbidden" else plain_message(first)
-        raise InputError(" ".join(f"{where}: {do}: {place}: {said}".split())) from None
+        raise InputError(" ".join(": ".join(filter(None, (where, do, place, said))).split())) from None

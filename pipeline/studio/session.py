@@ -47,6 +47,8 @@ class Session(BaseSession):
         self._bag: tuple[str, BagWriter] | None = None
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and self._bag is not None:
+            self._bag[1].__exit__(kind)
         super().__exit__(kind)
         self._shared.simulator.close()
 
@@ -127,8 +129,8 @@ class Session(BaseSession):
         if self._bag is None:
             raise InputError("record_stop: nothing is being recorded")
         name, bag = self._bag
-        bag.close()
         self._bag = self._shared.publisher.bag = None
+        bag.close()
         return f"bag {name} recorded"
 
     def view(self) -> View:

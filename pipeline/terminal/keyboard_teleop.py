@@ -1,4 +1,4 @@
-"""Keyboard teleop: keys to speeds, at the pace of a clock, with a view of what the robot sees."""
+"""Keyboard teleop: keys to speeds, at the pace of a clock, and a line of what the robot does."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Literal
 
-import numpy as np
-
-from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.terminal.braille import Canvas, terminal_size
+from turtlebag.pipeline.terminal.keys import ARROWS, DOWN, LEFT, RIGHT, UP, Keys
 from turtlebag.pipeline.terminal.messages import quiet
-from turtlebag.sim.robots import Limits, RobotSpec
+from turtlebag.sim.robots import Limits
 from turtlebag.sim.simulator import CONTROL_HZ, Truth
 
 STEP_V, STEP_W = 0.01, 0.1
@@ -26,19 +23,19 @@ RAMP = 0.5
 """TurtleBot3's own node moves its output to the target by this share of a key's step, ten times a second."""
 STOPPING_STEPS = 30
 VIEW_EVERY = 6
-CELL_M = 0.05
 
 Style = Literal["keys", "turtlebot3"]
 
 TABLES: dict[Style, str] = {
     "keys": (
         "  W forward, S back    0.01 m/s   X or space  stop\n"
-        "  A left,    D right   0.1 rad/s  Q           end the recording"
+        "  A left,    D right   0.1 rad/s  Q           end the recording\n"
+        "  (arrow keys as W, S, A and D)"
     ),
     "turtlebot3": (
         "  w / x  linear  +/- 0.01 m/s     space or s  stop at once\n"
         "  a / d  angular +/- 0.1 rad/s    q           end the recording\n"
-        "  (the speed follows by half a step, ten times a second)"
+        "  (arrow keys as w, x, a and d; the speed follows by half a step, ten times a second)"
     ),
 }
 
@@ -61,8 +58,8 @@ class KeyState:
         elif key in stops:
             self._v = self._w = self._out_v = self._out_w = 0.0
         else:
-            v = {"w": STEP_V, back: -STEP_V}.get(key, 0.0)
-            w = {"a": STEP_W, "d": -STEP_W}.get(key, 0.0)
+            v = {"w": STEP_V, UP: STEP_V, back: -STEP_V, DOWN: -STEP_V}.get(key, 0.0)
+            w = {"a": STEP_W, LEFT: STEP_W, "d": -STEP_W, RIGHT: -STEP_W}.get(key, 0.0)
             # Whole steps, so that as many back lead to exactly zero.
             self._v = _clip(round((self._v + v) / STEP_V) * STEP_V if v else self._v, self._limits.max_v)
             self._w = _clip(round((self._w + w) / STEP_W) * STEP_W if w else self._w, self._limits.max_w)
@@ -130,7 +127,7 @@ class OverrideKeys:
         for key in self._read_keys().lower():
             if key in "q\n\r\x04":
                 self._keys = None
-            elif key in "wasdx ":
+            elif key in "wasdx " + ARROWS:
                 self._keys = self._keys or KeyState(self._limits, "keys")
                 self._keys.press(key)
         wanted = None if self._keys is None else self._keys.command
@@ -141,60 +138,23 @@ class OverrideKeys:
         return wanted
 
 
-class View:
-    """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone.
+class StatusLine:
+    """Writes the time, the command and where the robot is by odometry alone, a few times a second."""
 
-    A frame with a drawing fills the terminal of `size`, columns and rows: the drawing, `keys` (what they do)
-    and the speeds.
-    """
-
-    def __init__(
-        self,
-        robot: RobotSpec,
-        state: KeyState,
-        drawing: bool,
-        write: Callable[[str], None],
-        *,
-        keys: str = "",
-        size: Callable[[], tuple[int, int]] = terminal_size,
-    ) -> None:
-        self._T_base_lidar, self._state, self._write = robot.T_base_lidar, state, write
-        self._drawing, self._seen = drawing, np.zeros((0, 2), dtype=np.int64)
-        self._keys, self._size = keys.splitlines(), size
-        self._height = 2.0 * min(robot.lidar.range_max, 5.0)
+    def __init__(self, state: KeyState, write: Callable[[str], None]) -> None:
+        self._state, self._write = state, write
         self._count = 0
 
     def __call__(self, observation: Observation) -> None:
-        """Take an observation; draw a few times a second."""
-        scan, T_odom_base = observation.scan, observation.odometry.T_odom_base
-        if scan is not None and self._drawing:
-            points = T_odom_base @ (self._T_base_lidar @ scan.points_lidar())
-            cells = np.floor(points / CELL_M).astype(np.int64)
-            self._seen = np.unique(np.vstack([self._seen, cells]), axis=0)
+        """Take an observation."""
         if self._count % VIEW_EVERY == 0:
-            self._write(self.frame(observation))
+            wanted, odometry = self._state.command, observation.odometry
+            x, y, _ = odometry.T_odom_base.xyt.tolist()
+            self._write(
+                f"{observation.stamp_ns * 1e-9:7.1f} s  command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s  "
+                f"at {x:+.2f}, {y:+.2f}  odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s"
+            )
         self._count += 1
-
-    def frame(self, observation: Observation) -> str:
-        """The text of one frame."""
-        wanted, odometry = self._state.command, observation.odometry
-        x, y, yaw = odometry.T_odom_base.xyt.tolist()
-        line = (
-            f"{observation.stamp_ns * 1e-9:7.1f} s  command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s  "
-            f"at {x:+.2f}, {y:+.2f}  odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s"
-        )
-        if not self._drawing:
-            return line
-        columns, rows = self._size()
-        canvas = Canvas(columns, max(rows - len(self._keys) - 1, 1), (x, y), self._height)
-        canvas.dots(self.map_points)
-        canvas.robot(x, y, yaw)
-        return "\n".join([canvas.text(), *self._keys, line])
-
-    @property
-    def map_points(self) -> Array:
-        """Centres of all 5 cm cells that a beam has hit, (n, 2) in the odom frame."""
-        return (self._seen.astype(np.float64) + 0.5) * CELL_M
 
 
 @contextmanager
@@ -202,22 +162,30 @@ def keys_of(stream: int) -> Iterator[Callable[[], str]]:
     """A function that gives the keys typed on a terminal since its last call, without waiting for Enter.
 
     The terminal is as before afterwards, whatever happens. From a pipe or file it gives one key at
-    each call, and the end key at its end.
+    each call. Where no more can come, it gives the end key.
     """
+    keys = Keys()
     if not os.isatty(stream):
-        # An empty read is the end of the pipe.
-        yield lambda: (os.read(stream, 1).decode(errors="ignore") or "q") if _ready(stream) else ""
+        yield lambda: _typed(stream, 1, keys)
         return
     before = termios.tcgetattr(stream)
     tty.setcbreak(stream)
     try:
-        yield lambda: os.read(stream, 64).decode(errors="ignore") if _ready(stream) else ""
+        yield lambda: _typed(stream, 64, keys)
     finally:
-        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # of a terminal that was closed
+            termios.tcsetattr(stream, termios.TCSADRAIN, before)
 
 
-def _ready(stream: int) -> bool:
-    return bool(select.select([stream], [], [], 0.0)[0])
+def _typed(stream: int, most: int, keys: Keys) -> str:
+    """The keys of up to `most` bytes that wait there; the end key where no more can come."""
+    if not select.select([stream], [], [], 0.0)[0]:
+        return ""
+    try:
+        typed = os.read(stream, most)
+    except OSError:  # the terminal was closed
+        typed = b""
+    return keys.of(typed.decode(errors="ignore")) if typed else "q"
 
 
 def clock(speed: float) -> Callable[[float], None]:

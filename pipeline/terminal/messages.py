@@ -5,12 +5,16 @@ from __future__ import annotations
 import logging
 import math
 import os
+import re
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
 
 if TYPE_CHECKING:
+    from types import TracebackType
+
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn
 
@@ -21,6 +25,19 @@ log = logging.getLogger("turtlebag")
 _bars = False
 _above: list[Callable[[str], None]] = []
 """Writes a line above the bar or status line that is on the terminal now, if any."""
+_UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+"""What a terminal obeys or does not show in its place: controls but newline and tab, and directions."""
+
+
+def printable(text: str) -> str:
+    """Text from anywhere (a topic, an exception, an option) in whole lines, of which a terminal obeys
+    nothing."""
+    return _UNSAFE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def one_line(text: object) -> str:
+    """The same in one line."""
+    return printable(str(text)).replace("\n", r"\n").replace("\t", r"\t")
 
 
 class _LineHandler(logging.Handler):
@@ -29,8 +46,9 @@ class _LineHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write one message as one line."""
         try:
-            if not _written_above(record.getMessage()):
-                print(record.getMessage(), file=sys.stderr, flush=True)
+            line = one_line(record.getMessage())
+            if not _written_above(line):
+                print(line, file=sys.stderr, flush=True)
         except Exception:
             self.handleError(record)
 
@@ -89,8 +107,20 @@ def note_degrees(what: str, yaw: float) -> None:
 
 def say(line: str) -> None:
     """A line of the result, on stdout as it comes; above the bar when both share a terminal."""
+    line = one_line(line)
     if not (sys.stdout.isatty() and _written_above(line)):
         print(line, flush=True)
+
+
+def tell_traceback(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Python's own, on stderr: `sys.excepthook` of a command."""
+    print(printable("".join(traceback.format_exception(kind, error, trace))), end="", file=sys.stderr)
+
+
+def show_cursor() -> None:
+    """A bar or a redrawn frame hides it, and may be ended in the middle."""
+    if sys.stderr.isatty():
+        bare(sys.stderr).write("\x1b[?25h")
 
 
 def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
@@ -101,7 +131,7 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
     from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
     with _bar("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
-        yield from bar.track(items, total=total, description=description)
+        yield from bar.track(items, total=total, description=_for_bar(description))
 
 
 Simulated = Callable[[int, str], None]
@@ -127,7 +157,7 @@ def simulated_time(total_s: float | None = None) -> Iterator[Simulated]:
             seconds = stamp_ns * 1e-9
             elapsed = bar.tasks[0].elapsed or 0.0
             pace = f"{seconds / elapsed:.0f} x real time" if elapsed > 1.0 else ""
-            bar.update(task, completed=seconds, description=doing, pace=pace)
+            bar.update(task, completed=seconds, description=_for_bar(doing), pace=pace)
 
         yield tell
 
@@ -142,7 +172,14 @@ def drawing() -> Iterator[Callable[[str], None]]:
 
     with _bar("figure {task.completed:.0f}", BarColumn(), "{task.description}") as bar:
         task = bar.add_task("", total=None)
-        yield lambda title: bar.update(task, advance=1, description=title)
+        yield lambda title: bar.update(task, advance=1, description=_for_bar(title))
+
+
+def _for_bar(text: str) -> str:
+    """A bar reads [words in brackets] as a style."""
+    from rich.markup import escape
+
+    return escape(one_line(text))
 
 
 def _shown() -> bool:
@@ -150,9 +187,9 @@ def _shown() -> bool:
 
 
 @contextmanager
-def redrawn(*, whole_screen: bool = False) -> Iterator[Callable[[str], None]]:
-    """Shows each frame of a status line, or of a drawing on the whole screen, in the place of the last one;
-    silent when stderr is not a terminal or -q was given. A frame is cut where the terminal ends."""
+def redrawn() -> Iterator[Callable[[str], None]]:
+    """Shows each frame of a status line in the place of the last one; silent when stderr is not a terminal or
+    -q was given. A frame is cut where the terminal ends."""
     if quiet() or not sys.stderr.isatty():
         yield lambda frame: None
         return
@@ -160,11 +197,10 @@ def redrawn(*, whole_screen: bool = False) -> Iterator[Callable[[str], None]]:
     from rich.live import Live
     from rich.text import Text
 
-    console = Console(stderr=True)
+    console = Console(file=bare(sys.stderr))
     with (
         Live(
             console=console,
-            screen=whole_screen,
             auto_refresh=False,
             transient=True,
             redirect_stdout=False,
@@ -172,7 +208,7 @@ def redrawn(*, whole_screen: bool = False) -> Iterator[Callable[[str], None]]:
         ) as live,
         _lines_above(console),
     ):
-        yield lambda frame: live.update(Text(frame, no_wrap=True, overflow="crop"), refresh=True)
+        yield lambda frame: live.update(Text(printable(frame), no_wrap=True, overflow="crop"), refresh=True)
 
 
 @contextmanager
@@ -181,7 +217,7 @@ def _bar(*columns: str | ProgressColumn) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    console = Console(file=bare(sys.stderr))
     bar = Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
     with bar, _lines_above(console):
         yield bar
@@ -205,8 +241,9 @@ def length(metres: float) -> str:
 
 
 def print_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
-    """Print rows as a table: the columns `left` (negative ones from the end) are left-aligned, the others
-    right-aligned."""
+    """Print rows as a table, a line each: the columns `left` (negative ones from the end) are left-aligned,
+    the others right-aligned."""
+    rows = [[one_line(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     begin = {number % len(widths) for number in left} if widths else set()
     for row in rows:
@@ -219,7 +256,8 @@ PLAIN = str.maketrans({"\u202f": " ", "\u2212": "-", "\u2013": "-", "\u00b0": "d
 
 
 class Words:
-    """A text stream whose trouble is noted: from then on nothing more is written to it.
+    """A text stream that a terminal may show (see `printable`) and whose trouble is noted: from then on
+    nothing more is written to it.
 
     With `optional` that is all; else the first trouble is raised, as BrokenPipeError when the reader has gone
     away, as InputError otherwise.
@@ -230,6 +268,10 @@ class Words:
         self.problem: str | None = None
 
     def write(self, text: str) -> int:
+        """Write what is printable of it, if that still goes."""
+        return self.write_bare(printable(text))
+
+    def write_bare(self, text: str) -> int:
         """Write, if that still goes; a terminal of few letters gets plain ones for ours."""
         try:
             self._attempt(lambda: self._stream.write(text))
@@ -260,9 +302,34 @@ class Words:
         return getattr(self._stream, name)
 
 
+def open_streams() -> None:
+    """Give Python's standard streams that were closed when it began to a file that cannot be written and has
+    nothing to read: no file that is opened later gets their numbers."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDONLY), mode))
+
+
+class _Bare:
+    """`Words` for those who move the cursor."""
+
+    def __init__(self, words: Words) -> None:
+        self._words, self.write = words, words.write_bare
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._words, name)
+
+
+def bare(stream: TextIO) -> TextIO:
+    """A stream as rich needs it, which writes a terminal's commands: what it is to show is made printable
+    before."""
+    return cast(TextIO, _Bare(stream)) if isinstance(stream, Words) else stream
+
+
 @contextmanager
 def guarded_streams() -> Iterator[Words]:
     """Put `Words` in the place of stdout, which is yielded, and of stderr."""
+    open_streams()
     before = sys.stdout, sys.stderr
     out, err = Words(sys.stdout, "stdout", optional=False), Words(sys.stderr, "stderr", optional=True)
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)

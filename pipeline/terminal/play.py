@@ -1,4 +1,4 @@
-"""Plays a recording: clock, speeds, the scan and the path driven."""
+"""Plays a recording as lines of text: clock, pose, speeds, command, nearest reading."""
 
 from __future__ import annotations
 
@@ -14,27 +14,23 @@ from turtlebag.datasets.errors import if_there
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.terminal.braille import Canvas, Size
 from turtlebag.pipeline.terminal.keyboard_teleop import clock
 
-_WIDEST_M = 12.0
 _SPEED_WINDOW_NS = 200_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What is shown at one instant: seconds since the start, a line of facts, a drawing."""
+    """What is shown at one instant: seconds since the start, and a line of facts."""
 
     time_s: float
     status: str
-    drawing: str
 
 
 class Player:
-    """A recording that can be shown at any instant, drawn in this many columns and rows."""
+    """A recording that can be shown at any instant."""
 
-    def __init__(self, path: Path, size: Size = (78, 21)) -> None:
-        self._size = size
+    def __init__(self, path: Path) -> None:
         self.recording = recording = load_recording(path)
         self._commands = if_there(read_commands, path)
         # Logs with stamps that go back keep their file order: time is the latest stamp so far.
@@ -45,28 +41,21 @@ class Player:
             newest = np.searchsorted(self._times, stamps, side="right") - 1
             self._odometry = Trajectory(stamps, recording.T_odom_base[newest])
         self.start_ns, self.end_ns = int(self._times[0]), int(self._times[-1])
-        self._height_m = 2.0 * min(recording.lidar.range_max, _WIDEST_M)
 
     def frame(self, stamp_ns: int) -> Frame:
-        """The picture at a stamp."""
+        """What there is to say at a stamp."""
         index = max(int(np.searchsorted(self._times, stamp_ns, side="right")) - 1, 0)
-        pose, scan = self._pose(stamp_ns), self.recording.scan(index)
-        x, y, yaw = pose.xyt.tolist()
-        canvas = Canvas(*self._size, (x, y), self._height_m)
-        scan_pose = self._pose(int(self._times[index]))
-        canvas.dots(scan_pose @ (self.recording.T_base_lidar @ scan.points_lidar()))
-        if self.recording.T_odom_base is not None:
-            canvas.dots(self.recording.T_odom_base.xy[: index + 1])
-        canvas.robot(x, y, yaw)
+        x, y, yaw = self._pose(stamp_ns).xyt.tolist()
         seconds = (stamp_ns - self.start_ns) * 1e-9
         facts = [f"{seconds:8.2f} s of {(self.end_ns - self.start_ns) * 1e-9:.2f}"]
         if self._odometry is not None:
             v, w = self._speed(stamp_ns)
             facts.append(f"odom x {x:+.2f} y {y:+.2f} yaw {math.degrees(yaw):+4.0f} deg")
             facts.append(f"v {v:+.2f} m/s w {w:+.2f} rad/s")
+        scan = self.recording.scan(index)
         nearest = np.min(scan.ranges, initial=np.inf, where=np.isfinite(scan.ranges))
         facts += [*self._command(stamp_ns), f"nearest {nearest:.2f} m"]
-        return Frame(seconds, "  ".join(facts), canvas.text())
+        return Frame(seconds, "  ".join(facts))
 
     def _pose(self, stamp_ns: int) -> SE2:
         """By the odometry; the origin without any."""

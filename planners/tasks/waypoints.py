@@ -1,4 +1,4 @@
-"""Waypoint files: a list of poses, and keep-out areas."""
+"""Waypoint files: a list of poses, and keep-out areas; files of keep-out areas."""
 
 from __future__ import annotations
 
@@ -12,10 +12,17 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OCCUPIED
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.number_text import decimal
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import parsed, read_mapping, read_yaml
+from turtlebag.datasets.yaml_files import parsed, read_documents, read_mapping
+from turtlebag.planners.costmap import Area
+from turtlebag.planners.tasks.waypoint_formats import are_poses, in_our_words, listed, wrong_frame
 
-KEYS = {"waypoints", "keepout"}
+KEYS = {"waypoints", "keepout", "frame_id", "header"}
+ROUTE_KEYS = {"poses", "keepout", "frame_id", "header", "mode"}
+"""Of PoseArray, Path and the routes of AWS."""
 MOST_WAIT_S = 3600.0
 ENTRY_KEYS = ("x", "y", "yaw", "quaternion", "wait")
 
@@ -34,10 +41,11 @@ class Waypoint:
 
 @dataclass(frozen=True, eq=False)
 class WaypointFile:
-    """Waypoints in order, and keep-out polygons (n, 2) in the map frame."""
+    """Waypoints in order, keep-out polygons (n, 2) in the map frame, and what to say of the file."""
 
     waypoints: tuple[Waypoint, ...]
     keepout: tuple[Array, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def tutorial_patrol() -> WaypointFile:
@@ -49,31 +57,43 @@ def tutorial_patrol() -> WaypointFile:
 def load_waypoints(path: Path) -> WaypointFile:
     """Read a waypoints YAML; a bad entry becomes a Waypoint with a reason, a bad file an InputError."""
     where = f"--waypoints {path}"
-    return parse_waypoints(read_yaml(path, where=where), where)
+    documents = read_documents(path, where=where)
+    return parse_waypoints(documents[0] if len(documents) == 1 else documents, where)
 
 
 def parse_waypoints(data: Any, where: str) -> WaypointFile:
-    """The content of a waypoints file: a list of entries, or a mapping with `waypoints` and `keepout`."""
-    if isinstance(data, list):
+    """The content of a waypoints file: a list of entries, or a mapping with `waypoints` and `keepout`; or
+    what other programs write."""
+    if not isinstance(data, Mapping) or are_poses(data):
         data = {"waypoints": data}
-    if not isinstance(data, Mapping) or not isinstance(data.get("waypoints"), list):
+    key, known = ("poses", ROUTE_KEYS) if "poses" in data else ("waypoints", KEYS)
+    entries = listed(data.get(key))
+    if entries is None:
         raise InputError(f"{where}: expected a list of waypoints, or the key 'waypoints' with one")
-    if unknown := sorted(str(key) for key in set(data) - KEYS):
-        raise InputError(f"{where}: unknown key {unknown[0]} (known: {', '.join(sorted(KEYS))})")
-    if not data["waypoints"]:
+    if unknown := sorted(str(key) for key in set(data) - known):
+        raise InputError(f"{where}: unknown key {unknown[0]} (known: {', '.join(sorted(known))})")
+    if not entries:
         raise InputError(f"{where}: contains no waypoints")
+    if wrong := wrong_frame(data):
+        raise InputError(f"{where}: {wrong}")
+    mode = data.get("mode", "inorder")
     return WaypointFile(
-        tuple(parse_waypoint(entry) for entry in data["waypoints"]),
+        tuple(parse_waypoint(entry) for entry in entries),
         parse_polygons(data.get("keepout") or [], where),
+        () if mode == "inorder" else (f"{where}: mode {mode}: the poses are visited in the file's order",),
     )
 
 
 def parse_waypoint(entry: Any) -> Waypoint:
-    """One entry: x, y and yaw or quaternion [x, y, z, w]; [x, y, yaw] is understood too."""
+    """One entry: x, y and yaw or quaternion [x, y, z, w]; [x, y, yaw] is understood too, and the poses of
+    other programs."""
     if isinstance(entry, (list, tuple)) and len(entry) in (2, 3):
         entry = dict(zip(("x", "y", "yaw"), entry, strict=False))
     if not isinstance(entry, Mapping):
         return Waypoint(None, "not an entry with x, y and yaw")
+    entry = in_our_words(entry)
+    if isinstance(entry, str):
+        return Waypoint(None, entry)
     x, y = _number(entry.get("x")), _number(entry.get("y"))
     if unknown := sorted(str(key) for key in set(entry) - set(ENTRY_KEYS)):
         known = ", ".join(ENTRY_KEYS)
@@ -103,7 +123,7 @@ def _number(value: Any) -> float:
     if isinstance(value, bool):
         return math.nan
     try:
-        return float(value)
+        return decimal(value) if isinstance(value, str) else float(value)
     except (TypeError, ValueError, OverflowError):
         return math.nan
 
@@ -120,9 +140,16 @@ def _yaw_of(value: Any) -> tuple[float, str]:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)), ""
 
 
-def load_keepout(path: Path) -> tuple[Array, ...]:
-    """The keep-out polygons of a YAML file that has them under `keepout`, (n, 2) each, in the map frame."""
-    return parse_polygons(read_mapping(path).get("keepout"), f"--keepout {path}")
+def load_keepout(path: Path) -> tuple[Area, ...]:
+    """Keep-out areas of a YAML file: polygons under `keepout`, (n, 2) each in the map frame, or a map whose
+    occupied cells they are, as the mask of Nav2's keepout filter."""
+    data = read_mapping(path)
+    if "image" not in data:
+        return parse_polygons(data.get("keepout"), f"--keepout {path}")
+    mask = load_map(path)
+    if not (mask.cells == OCCUPIED).any():
+        raise InputError(f"--keepout {path}: its image has no occupied cell, so it keeps out of nothing")
+    return (mask,)
 
 
 def parse_polygons(data: Any, where: str) -> tuple[Array, ...]:

@@ -19,6 +19,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
+from turtlebag.datasets.output_rules import PICTURE_MARK
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures import style
@@ -211,7 +212,7 @@ def draw_world(
     hidden: Sequence[tuple[Array, tuple[float, float], float]],
     keepout: Sequence[Array] = (),
 ) -> None:
-    """Write a PNG.
+    """Write a PNG that carries our mark.
 
     `hidden` are solids below the robot's height that the lidar plane misses: outline (n, 2) or, for a
     cylinder, an empty outline with centre and radius. `keepout` are outlines (n, 2). All in metres.
@@ -227,7 +228,7 @@ def draw_world(
             axes.add_patch(Polygon(outline, fill=False, edgecolor=style.INK, linestyle="--"))
         draw_start(axes, spawn)
         axes.set_title(title)
-        style.save_png(figure, path)
+        style.save_png(figure, path, PICTURE_MARK)
 
 
 def legend_above(axes: Axes, handles: Sequence[Artist] | None = None) -> None:

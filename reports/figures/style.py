@@ -36,6 +36,8 @@ LINES: dict[str, dict[str, Any]] = {
 }
 
 STYLE: dict[Any, Any] = {
+    # A world's name or a campaign's label may have any letters: dollars are no formulas.
+    "text.parse_math": False,
     "font.family": "DejaVu Sans",
     "font.size": 10.0,
     "axes.titlesize": 10.5,
@@ -101,9 +103,9 @@ def bare(axes: Axes) -> None:
     axes.tick_params(length=2)
 
 
-def save_png(figure: Figure, path: Path) -> None:
-    """PNG without program or date: same data, same bytes."""
-    figure.savefig(path, metadata={"Software": None})
+def save_png(figure: Figure, path: Path, software: str | None = None) -> None:
+    """PNG without a date, and the program named only if one is given: same data, same bytes."""
+    figure.savefig(path, metadata={"Software": software})
 
 
 def save_pdf(figure: Figure, path: Path) -> None:

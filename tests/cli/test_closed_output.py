@@ -27,9 +27,14 @@ sys.exit(main())
 """
 
 
-def run(words, stdout, stderr=subprocess.PIPE):
+def run(words, stdout, stderr=subprocess.PIPE, closed=()):
     return subprocess.run(
-        [sys.executable, "-c", SAY, *map(str, words)], stdout=stdout, stderr=stderr, text=True, timeout=60
+        [sys.executable, "-c", SAY, *map(str, words)],
+        stdout=stdout,
+        stderr=stderr,
+        text=True,
+        timeout=60,
+        preexec_fn=lambda: [os.close(number) for number in closed],
     )
 
 
@@ -72,3 +77,39 @@ def test_a_lost_stderr_costs_nothing_either(tmp_path):
         done = run(["compare", "x", "y", "--out", tmp_path / "out"], full, full)
     assert done.returncode == 1
     assert (tmp_path / "out" / "a").exists()
+
+
+CLOSED = {"stdout": [1], "stderr": [2], "both": [1, 2], "all three": [0, 1, 2]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", CLOSED)
+def test_the_work_is_done_though_streams_are_closed(tmp_path, closed):
+    done = run(["compare", "x", "y", "--out", tmp_path / "out"], subprocess.PIPE, closed=CLOSED[closed])
+    assert done.returncode == 1  # what the command itself gives
+    assert [path.read_text() for path in (tmp_path / "out").iterdir()] == ["whole"]
+    assert ("line 2" in done.stdout) == (1 not in CLOSED[closed])
+    lines = [line for line in done.stderr.splitlines() if line != "aside"]
+    lost = "turtlebag: stdout: Bad file descriptor; the rest of the output is lost"
+    assert lines == ([lost] if closed == "stdout" else [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "code"), [("--help", 0), ("--version", 0), ("world list", 0), ("world nothing", 2)]
+)
+def test_results_that_cannot_be_told_are_an_error_and_messages_that_cannot_are_none(words, code):
+    for closed in CLOSED.values():
+        done = subprocess.run(
+            [sys.executable, "-m", "turtlebag", *words.split()],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            preexec_fn=lambda closed=closed: [os.close(number) for number in closed],
+        )
+        assert done.returncode == (2 if 1 in closed else code)
+        assert bool(done.stdout) == (1 not in closed and code == 0)
+        lost = code == 0 and 1 in closed
+        assert (done.stderr == "turtlebag: stdout: Bad file descriptor\n") == (lost and 2 not in closed)
+        assert done.stderr.count("\n") == (2 not in closed and (lost or code == 2))

@@ -1,4 +1,4 @@
-"""Keyboard teleop: steps and limits of the keys, stopping, the bag, the view."""
+"""Keyboard teleop: steps and limits of the keys, stopping, the bag, the status line."""
 
 import os
 
@@ -10,10 +10,8 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.record import Scene, record_drive
-from turtlebag.pipeline.terminal.keyboard_teleop import TABLES, KeyState, View, keyboard_driver, keys_of
+from turtlebag.pipeline.terminal.keyboard_teleop import KeyState, StatusLine, keyboard_driver, keys_of
 from turtlebag.sim.robots import load_robot
-from turtlebag.sim.simulator import SimConfig, Simulator
-from turtlebag.sim.worlds import load_world
 
 BURGER = load_robot("burger")
 
@@ -60,48 +58,14 @@ def test_a_keyboard_drive_is_a_bag_like_any_other_and_ends_standing(tmp_path):
     typed = iter(["w" * 10, "", "aaa"] + [""] * 40 + ["q"])
     frames = []
     driver = keyboard_driver(state, lambda: next(typed), lambda time_s: None)
-    view = View(scene.robot, state, False, frames.append)
-    assert record_drive(scene, driver, "keyboard:keys", Output(tmp_path / "rec"), watch=view) == 0
+    status = StatusLine(state, frames.append)
+    assert record_drive(scene, driver, "keyboard:keys", Output(tmp_path / "rec"), watch=status) == 0
     _, v, w = read_commands(tmp_path / "rec")
     assert v.max() == pytest.approx(0.1)
     assert w.max() == pytest.approx(0.3)
     assert (v[-1], w[-1]) == (0.0, 0.0)
     assert np.all(v[-25:] == 0.0)
     assert any("+0.10 m/s" in frame for frame in frames)
-
-
-def test_the_view_draws_a_map_that_grows():
-    world = load_world("turtlebot3_world")
-    state = KeyState(BURGER.limits, "keys")
-    frames = []
-    view = View(BURGER, state, True, frames.append)
-    with Simulator(world, BURGER, SimConfig(), 1) as simulator:
-        view(simulator.reset())
-        for _ in range(9):
-            view(simulator.step(Twist(0.2, 0.0)))
-        first = len(view.map_points)
-        for _ in range(60):
-            view(simulator.step(Twist(0.2, 0.5)))
-    assert len(view.map_points) > first > 50
-    assert sum(ord(c) - 0x2800 > 0 for c in frames[-1] if 0x2800 <= ord(c) < 0x2900) > 20
-    assert any(arrow in frames[-1] for arrow in "→↗↑↖←↙↓↘")
-
-
-@pytest.mark.parametrize("size", [(80, 24), (66, 18), (132, 43), (20, 5)])
-@pytest.mark.parametrize("style", ["keys", "turtlebot3"])
-def test_the_view_fills_its_terminal_and_keeps_the_keys(size, style):
-    frames, state, keys = [], KeyState(BURGER.limits, style), TABLES[style].splitlines()
-    view = View(BURGER, state, True, frames.append, keys=TABLES[style], size=lambda: size)
-    with Simulator(load_world("turtlebot3_world"), BURGER, SimConfig(), 1) as simulator:
-        view(simulator.reset())
-        for _ in range(12):
-            view(simulator.step(Twist(0.2, 0.0)))
-    *picture, status = frames[-1].split("\n")
-    assert len(picture) + 1 == size[1]
-    assert picture[-len(keys) :] == keys
-    assert status.startswith("    0.4 s")
-    assert all(len(line) == size[0] for line in picture[: -len(keys)])
-    assert any("\u2801" <= c <= "\u28ff" for line in picture[: -len(keys)] for c in line)
 
 
 def test_keys_from_a_pipe_are_given_one_by_one_and_end():
@@ -113,13 +77,18 @@ def test_keys_from_a_pipe_are_given_one_by_one_and_end():
     os.close(reader)
 
 
-@pytest.mark.parametrize("view", [(), ("--view",)])
-def test_quiet_driving_shows_nothing(tmp_path, monkeypatch, capsys, view):
+def test_quiet_driving_shows_nothing(tmp_path, monkeypatch, capsys):
     with open(os.devnull) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
-        drive = ["teleop", "-q", "--world", "empty", "--speed", "50", "--out", str(tmp_path / "rec"), *view]
+        drive = ["teleop", "-q", "--world", "empty", "--speed", "50", "--out", str(tmp_path / "rec")]
         assert main(drive) == 0
     assert capsys.readouterr() == ("", "")
+
+
+def test_the_drawing_that_is_gone_names_the_studio(tmp_path, capsys):
+    assert main(["teleop", "--world", "empty", "--view", "--out", str(tmp_path / "rec")]) == 2
+    assert "--view is gone; turtlebag studio shows the scan and the map" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_command_records_from_piped_keys_and_refuses_a_wrong_world(tmp_path, monkeypatch, capsys):

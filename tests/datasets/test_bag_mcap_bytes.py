@@ -8,7 +8,7 @@ import pytest
 import zstandard
 
 from turtlebag.datasets.bags.mcap_sequential import McapReader
-from turtlebag.datasets.bags.message import Topic
+from turtlebag.datasets.bags.topics import Topic
 from turtlebag.datasets.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -167,6 +167,13 @@ def test_damage_is_named_by_its_place_and_stepped_over_to_the_next_chunk(tmp_pat
     assert over[-1] == ("/a", 99, b"last")
     assert state.problems[0].startswith(f"damaged at byte {at} of {len(content)}: {says}")
     assert not state.stopped
+
+
+@pytest.mark.slow
+def test_a_bag_of_which_every_chunk_is_large_is_not_read_to_its_end(tmp_path):
+    large = chunk(message(7, 1, bytes(60 << 20)), "zstd", crc=0)
+    with pytest.raises(InputError, match="chunks unpack to more than 1000 times"):
+        read(tmp_path, whole([HEADER, SCHEMA, CHANNEL, *[large] * 18]), lambda channel: False)
 
 
 def test_records_of_other_kinds_are_passed_by(tmp_path):

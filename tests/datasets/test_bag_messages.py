@@ -82,8 +82,9 @@ def built(store, rng, frame, child):
         scan,
         (STAMP, ours, tuple(geometry), pytest.approx(ranges)),
     )
-    yield "nav_msgs/Odometry", decode.odometry, drive, (STAMP, ours, below, *at)
-    yield "geometry_msgs/PoseStamped", decode.pose_stamped, {"pose": place}, (STAMP, ours, "", *at)
+    moving, still = (xyz[0], xyz[1], angular[2]), (0.0, 0.0, 0.0)
+    yield "nav_msgs/Odometry", decode.odometry, drive, (STAMP, ours, below, *at, moving)
+    yield "geometry_msgs/PoseStamped", decode.pose_stamped, {"pose": place}, (STAMP, ours, "", *at, still)
     yield "geometry_msgs/TransformStamped", decode.transforms, link, [linked] * 2
     yield "sensor_msgs/Imu", decode.imu, sample, (STAMP, ours, tuple(angular), tuple(xyz))
     yield "geometry_msgs/Twist", decode.twist, speeds, (xyz[0], angular[2])

@@ -6,9 +6,10 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 
 from tests.helpers.bag_samples import write_drive
-from turtlebag.datasets.bags.convert import to_ros1_bag
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.doctor import examine
 from turtlebag.datasets.bags.mcap_sequential import McapReader
+from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
 from turtlebag.datasets.bags.source import open_bag
@@ -48,6 +49,10 @@ def compressed(plain, path, compression):
 FORMATS = [None, *Writer.CompressionFormat]
 
 
+def test_the_doctor_finds_nothing_wrong_with_a_good_one(plain):
+    assert examine(plain) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", FORMATS)
 def test_the_same_messages_as_rosbags_reads(plain, tmp_path, compression):
@@ -70,7 +75,7 @@ def test_a_cut_bag_gives_what_is_there_and_says_so(plain, tmp_path):
         assert len(got) > (share - 0.1) * len(whole)
         assert "b.bag: damaged at byte" in bag.notes[0]
     assert load_recording(path).ranges.shape[1] == 360
-    assert "damaged file" in {finding.check for finding in examine(path)}
+    assert "damaged file" in {finding.kind for finding in examine(path)}
 
 
 @pytest.mark.slow
@@ -118,11 +123,21 @@ def test_the_span_of_a_recovered_bag_is_that_of_the_messages_in_it(tmp_path):
     assert "/other: 1 damaged messages left out" in saved.notes
 
 
-def test_an_old_version_is_one_clear_line(tmp_path):
+@pytest.mark.parametrize(
+    ("first_line", "says"),
+    [
+        ("#ROSRECORD V1.2", r"a ROS 1 bag of version 1\.2, .*`rosbag reindex` converts it"),
+        ("#ROSRECORD V1.1", r"a ROS 1 bag of version 1\.1, .*only a ROS release of its time"),
+        ("#ROSLOG V1.0", r"a ROS 1 bag of version 1\.0, .*only a ROS release of its time"),
+        ("#ROSBAG V1.2", "damaged bag, its first bytes"),
+    ],
+)
+@pytest.mark.parametrize("read", [load_recording, bag_info, examine])
+def test_an_old_version_is_named_with_what_converts_it(tmp_path, read, first_line, says):
     path = tmp_path / "old.bag"
-    path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
-    with pytest.raises(InputError, match=r"old\.bag: .*first bytes"):
-        load_recording(path)
+    path.write_bytes(first_line.encode() + b"\n" + bytes(100))
+    with pytest.raises(InputError, match=r"old\.bag: " + says):
+        read(path)
 
 
 @pytest.mark.parametrize("scan", [Ros1Reader, McapReader])

@@ -6,8 +6,8 @@ import struct
 import lz4.frame
 import pytest
 
-from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
+from turtlebag.datasets.bags.topics import Topic
 from turtlebag.datasets.errors import InputError
 
 
@@ -76,6 +76,30 @@ def test_a_ros1_bag_gives_its_messages(tmp_path, compression):
     assert ros1_read(tmp_path, parts, lambda c: c.name == "/b")[0] == expected[1:2]
     for index, chunks, says in ((0, 2, "no index"), (9, 3, "3 chunks were written, 2 could be read")):
         assert says in ros1_read(tmp_path, [ros1_head(index, chunks), *parts[1:]])[1].problems[0]
+
+
+def stating(record, size):
+    """The record with another length of its data in front of them."""
+    at = 4 + struct.unpack_from("<I", record)[0]
+    return record[:at] + struct.pack("<I", size) + record[at + 4 :]
+
+
+@pytest.mark.parametrize(("operation", "entry"), [(b"\x04", 12), (b"\x06", 8)])
+@pytest.mark.parametrize("states", [0, 20, 40, 1 << 30])
+def test_the_length_that_an_index_record_states_is_not_believed(tmp_path, operation, entry, states):
+    """Writers of 2010 state a wrong one, and rosbag goes by the number of entries."""
+    index = stating(ros1(bytes(2 * entry), op=operation, ver=1, conn=1, count=2), states)
+    parts = [ros1_head(9, 2), ros1_chunk(TWO), index, ros1_chunk(said(1, 5, 6, b"x")), index]
+    found, state = ros1_read(tmp_path, parts)
+    assert [data for _, _, data in found] == [b"one", b"", b"x"]
+    assert state.problems == []
+
+
+def test_an_index_record_with_a_damaged_count_is_stepped_over_by_its_length(tmp_path):
+    for count in (3, 1 << 31):
+        index = ros1(bytes(24), op=b"\x04", ver=1, conn=1, count=count)
+        found, state = ros1_read(tmp_path, [ros1_head(9, 2), ros1_chunk(TWO), index, ros1_chunk(TWO)])
+        assert (len(found), state.problems) == (4, [])
 
 
 @pytest.mark.parametrize(

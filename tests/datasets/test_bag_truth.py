@@ -5,6 +5,7 @@ import json
 import pytest
 
 from turtlebag.datasets.bags.convert import to_mcap
+from turtlebag.datasets.bags.selection import Selection
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.map import build_map
@@ -30,7 +31,9 @@ steps:
 def test_a_map_without_the_truth_is_the_same_to_the_byte(tmp_path):
     (tmp_path / "short.yaml").write_text(SCRIPT)
     record(Scene.load("turtlebot3_world", seed=3), str(tmp_path / "short.yaml"), Output(tmp_path / "with"))
-    to_mcap(tmp_path / "with" / "bag", tmp_path / "without" / "bag", exclude=["/ground_truth/odom"])
+    to_mcap(
+        tmp_path / "with" / "bag", tmp_path / "without" / "bag", Selection(exclude=("/ground_truth/odom",))
+    )
     topics = {message.topic.name for message in open_bag(tmp_path / "without").messages()}
     assert "/scan" in topics
     assert not any(topic.startswith("/ground_truth") for topic in topics)

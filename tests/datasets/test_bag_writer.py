@@ -10,6 +10,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from tests.helpers.bag_samples import LINKS, observation, write_drive
+from tests.helpers.full_disks import files_below
+from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.topics import TOPICS, typestore
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
@@ -134,14 +136,35 @@ def test_an_existing_bag_is_not_overwritten(bag):
         BagWriter(bag, custom={})
 
 
-def test_ctrl_c_closes_the_bag_and_an_error_leaves_it_unfinished(tmp_path):
-    for error, finished in ((KeyboardInterrupt, True), (RuntimeError, False)):
-        folder = tmp_path / error.__name__
-        with pytest.raises(error), BagWriter(folder, custom={}) as writer:  # noqa: PT012
-            writer.command(0, Twist(0.1, 0.0))
-            raise error
-        assert (folder / "metadata.yaml").exists() == finished
-        assert (folder / "bag_0.mcap").read_bytes().endswith(b"\x89MCAP0\r\n") == finished
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_whatever_ends_a_recording_closes_the_bag(tmp_path, error):
+    with pytest.raises(error), BagWriter(tmp_path / "bag", custom={}) as writer:  # noqa: PT012
+        writer.command(0, Twist(0.1, 0.0))
+        raise error
+    assert (tmp_path / "bag/metadata.yaml").exists()
+    assert len(messages(tmp_path / "bag", "/cmd_vel")) == 1
+
+
+def drive_until_it_fails(folder):
+    with BagWriter(folder, custom={}) as writer:
+        for step in range(3000):
+            writer.command(step * 10**7, Twist(0.1 * step, 0.0))
+
+
+@pytest.mark.parametrize(("room", "seconds"), [(8000, 2), (12345, 4)])
+def test_where_there_is_no_room_all_whole_chunks_are_kept(tmp_path, room, seconds):
+    with files_below(room), pytest.raises(OSError, match="too large"):
+        drive_until_it_fails(tmp_path / "bag")
+    (file,) = (tmp_path / "bag").iterdir()
+    saved = recover(tmp_path / "bag", tmp_path / "saved")
+    assert saved.messages == 101 * seconds
+    assert file.stat().st_size > 0.7 * room
+
+
+def test_a_bag_without_room_for_any_message_is_none(tmp_path):
+    with files_below(1000), pytest.raises(OSError, match="too large"):
+        drive_until_it_fails(tmp_path / "bag")
+    assert list((tmp_path / "bag").iterdir()) == []
 
 
 def test_fixed_links_keep_their_place_in_space(bag):

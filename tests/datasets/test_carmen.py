@@ -278,3 +278,11 @@ def test_half_circles_of_both_resolutions_are_all_kept(tmp_path):
     found = load_recording(write(tmp_path, text))
     # the last of 361 beams lies beyond the view of the others
     assert np.isfinite(found.ranges).sum(axis=1).tolist() == [180, 360, 180]
+
+
+def test_fields_may_be_parted_by_tabs(tmp_path):
+    spaces = flaser(np.linspace(1.0, 2.0, 180), robot=(1.0, 2.0, 0.5))
+    found = load_recording(write(tmp_path, spaces.replace(" ", "\t") * 2))
+    expected = load_recording(write(tmp_path, spaces * 2, "b.clf"))
+    np.testing.assert_array_equal(found.ranges, expected.ranges)
+    np.testing.assert_array_equal(found.T_odom_base.xyt, expected.T_odom_base.xyt)

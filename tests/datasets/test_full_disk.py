@@ -1,8 +1,6 @@
 """A full disk, a read-only folder: exit 2, one line, nothing left behind."""
 
-import ctypes
 import os
-import struct
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -10,7 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.fuzz_inputs import files_below, outcome
+from tests.helpers.full_disks import files_below, mounted, ordinary_user
+from tests.helpers.fuzz_inputs import outcome
+from turtlebag.datasets.bags.doctor import examine
+from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.pipeline.cli.main import main
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +34,6 @@ def commands(chain):
         "compare": ("compare", chain / "map", chain / "map"),
         "convert": ("bag", "convert", chain / "record"),
         "sqlite3": ("bag", "convert", chain / "record", "--storage", "sqlite3"),
-        "ros1.bag": ("bag", "convert", chain / "record"),
         "recover": ("bag", "recover", chain / "record"),
         "world.png": ("world", "show", chain / "room.yaml"),
         "sweep": ("sweep", chain / "sweep.yaml", "--workers", "1"),
@@ -45,46 +46,56 @@ def largest(out):
     return max(path.stat().st_size for path in files if path.name != "manifest.json")
 
 
+RECORDERS = ("record", "goal", "avoid", "explore")
+
+
 @pytest.mark.parametrize("name", commands(Path()))
-def test_a_disk_full_before_the_last_byte_is_one_line_and_leaves_nothing(chain, no_workers, tmp_path, name):
+def test_a_disk_full_before_the_last_byte_is_one_line_and_leaves_what_there_was(
+    chain, no_workers, tmp_path, name
+):
     verb, *words = commands(chain)[name]
-    whole, full = tmp_path / "whole", tmp_path / "full"
-    for place in (whole, full):
-        place.mkdir()
-    code, said = outcome((verb, "-q", *words, "--out", whole / name), 60)
+    out = tmp_path / name
+    code, said = outcome((verb, "-q", *words, "--out", out), 60)
     assert code in (0, 1), said
-    with files_below(largest(whole / name)):
-        code, said = outcome((verb, "-q", *words, "--out", full / name), 60)
-    assert (code, said.count("\n")) == (2, 1), said
-    assert str(full / name) in said
-    left = ["sweep.partial"] if verb == "sweep" else []  # a campaign goes on where it stopped
-    assert [path.name for path in full.iterdir()] == left
+    before, limit = sha256_tree(out), largest(out)
+    if name.endswith(".bag"):  # it has no place for our mark
+        out.rename(out.with_suffix(".old"))
+    with files_below(limit):
+        code, said = outcome((verb, "-q", *words, "--out", out, "--force"), 60)
+    assert (code, said.count("\n")) == (1 if name in RECORDERS else 2, 1), said
+    assert str(out) in said
+    assert "--force" not in said
+    left = {path.name for path in tmp_path.iterdir()} - {name, "ros1.old"}
+    if name in RECORDERS:
+        assert left == {f"{name}.unfinished"}
+        kept, saved = tmp_path / f"{name}.unfinished", tmp_path / "saved"
+        assert main(["bag", "recover", str(kept), "--out", str(saved)]) == 0
+        assert [finding for finding in examine(saved) if finding.severity == "error"] == []
+    else:  # a campaign goes on where it stopped
+        assert left == ({"sweep.partial"} if verb == "sweep" else set())
+    assert not out.exists() if name.endswith(".bag") else sha256_tree(out) == before
 
 
-@contextmanager
-def mounted(place, options):
-    """A small file system at a folder."""
-    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("no tmpfs can be mounted here")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", str(place)], check=True)
+def test_recordings_on_a_full_disk_are_kept_each_under_its_own_name(chain, tmp_path):
+    verb, *words = commands(chain)["avoid"]
+    for name in ("avoid.unfinished", "avoid.unfinished-2"):
+        with files_below(30_000):
+            code, said = outcome((verb, "-q", *words, "--out", tmp_path / "avoid"), 60)
+        assert code == 1
+        assert said == (
+            f"turtlebag: {tmp_path / 'avoid'}: File too large; "
+            f"what was recorded is kept in {tmp_path / name} "
+            f"(`turtlebag bag recover {tmp_path / name} --out DIR` makes a whole bag of it)\n"
+        )
+    assert {path.name for path in tmp_path.iterdir()} == {"avoid.unfinished", "avoid.unfinished-2"}
 
 
 @contextmanager
 def shut(place):
-    """A folder that this thread may not write to, root's privilege or not (Linux's capget and capset)."""
-    libc, header = ctypes.CDLL(None, use_errno=True), struct.pack("=Ii", 0x20080522, 0)
-    usual = ctypes.create_string_buffer(24)  # twice what is effective, permitted, inheritable
-    libc.capget(header, usual)
+    """A folder that this thread may not write to."""
     place.chmod(0o555)
-    assert libc.capset(header, bytes(4) + usual.raw[4:12] + bytes(4) + usual.raw[16:]) == 0
-    try:
+    with ordinary_user():
         yield
-    finally:
-        assert libc.capset(header, usual.raw) == 0
 
 
 HINDRANCES = {

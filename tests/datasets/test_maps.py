@@ -170,3 +170,36 @@ def test_cell_centres_map_back_to_their_cells_on_turned_grids(cell, yaw):
 def test_points_off_the_grid_are_unknown():
     grid = OccupancyGrid(np.zeros((2, 2), np.int8), 1.0)
     assert grid.value_at(np.array([[0.5, 0.5], [-0.1, 0.5], [0.5, 2.1]])).tolist() == [0, -1, -1]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        (
+            "occupied_thresh",
+            "65",
+            "occupied_thresh: must be from 0, white, to 1, black, not 65 (0.65 in most",
+        ),
+        ("occupied_thresh", ".nan", "occupied_thresh: must be from 0, white, to 1, black, not nan (0.65 in"),
+        ("free_thresh", "2", "free_thresh: must be from 0, white, to 1, black, not 2 (0.196 in most maps)"),
+        ("free_thresh", "25", "free_thresh: must be from 0, white, to 1, black, not 25 (0.196 in most maps)"),
+        ("free_thresh", "-0.1", "free_thresh: must be from 0, white, to 1, black, not -0.1 (0.196 in most"),
+        ("free_thresh", "true", "free_thresh: expected a number, not true (0.196 in most maps)"),
+        ("resolution", "true", "resolution: expected a number, not true (metres per pixel, as 0.05)"),
+        ("resolution", "1:30", "resolution: must be a valid number (metres per pixel, as 0.05)"),
+        ("resolution", "0", "resolution: must be greater than or equal to 0.0001 (metres per pixel"),
+        ("origin", "[1, 2]", "origin: expected three numbers (x, y, yaw of the lower left corner, in metres"),
+        ("origin", "[1, 2, 3, 4]", "origin: expected three numbers (x, y, yaw"),
+        ("origin", "[1, 2, true]", "origin: expected three numbers (x, y, yaw"),
+        ("origin", "[1, 2, 1:30]", "origin: expected three numbers (x, y, yaw"),
+        ("origin", "here", "origin: expected three numbers (x, y, yaw"),
+        ("origin", "[1, 2, .inf]", "origin must be three finite numbers"),
+    ],
+)
+def test_a_wrong_value_of_the_yaml_is_a_line_that_says_what_is_expected(tmp_path, key, value, told):
+    lines = [line for line in YAML.splitlines() if not line.startswith(f"{key}:")]
+    path = write(tmp_path, [[0]], "\n".join([*lines, f"{key}: {value}", ""]))
+    with pytest.raises(InputError) as caught:
+        load_map(path)
+    assert str(caught.value).startswith(f"{path}: {told}")
+    assert "\n" not in str(caught.value)

@@ -1,5 +1,6 @@
 """Nothing that is not ours is replaced or removed, and only one process writes an output."""
 
+import io
 import os
 import signal
 import subprocess
@@ -7,19 +8,34 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
+from tests.helpers.full_disks import ordinary_user
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.output_lock import MARKER, lock_output
+from turtlebag.datasets.output_lock import lock_output
+from turtlebag.datasets.output_rules import MARKER
 from turtlebag.datasets.outputs import sha256_tree, staged_file, staged_output, write_manifest
 from turtlebag.pipeline.cli.main import main
 
-PNG = b"\x89PNG\r\n\x1a\nrest"
+
+def png(**texts):
+    """A picture of one pixel with these texts in it."""
+    info, picture = PngInfo(), io.BytesIO()
+    for key, text in texts.items():
+        info.add_text(key, text)
+    Image.new("L", (1, 1)).save(picture, "PNG", pnginfo=info)
+    return picture.getvalue()
+
+
+PNG = png(Software="turtlebag")
 
 
 def ours(folder, **files):
     """A finished output of ours."""
     folder.mkdir(parents=True)
     for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
     write_manifest(folder, stage="map", command=[], inputs={}, seed=None, wall_s=0.0)
     return folder
@@ -34,11 +50,11 @@ def state(folder):
     return found
 
 
-def write(out, inputs, meanwhile):
+def write(out, inputs, meanwhile, *given, force=False):
     """Write an output while something else happens."""
-    with staged_output(out, inputs=inputs) as partial:
+    with staged_output(out, inputs=inputs, force=force) as partial:
         (partial / "a").write_text("a")
-        meanwhile()
+        meanwhile(*given)
 
 
 def folder_with(name, text):
@@ -52,7 +68,8 @@ def folder_with(name, text):
 NOT_OURS = {
     "fifo": os.mkfifo,
     "file": lambda path: path.write_text("years"),
-    "picture": lambda path: path.write_bytes(PNG),
+    "picture of others": lambda path: path.write_bytes(png(Software="GIMP", Title="turtlebag")),
+    "picture cut short": lambda path: path.write_bytes(PNG[:40]),
     "link to ours": lambda path: path.symlink_to(ours(path.with_name("ours"))),
     "link to nowhere": lambda path: path.symlink_to("nowhere"),
     "folder of files": folder_with("thesis.tex", "years"),
@@ -84,7 +101,8 @@ def test_what_is_in_the_way_of_the_growing_output_is_refused_and_kept(tmp_path, 
 
 
 def test_an_empty_folder_and_an_output_of_ours_are_replaced_and_neighbours_kept(tmp_path):
-    ours(tmp_path / "ours", old="old")
+    ours(tmp_path / "ours/cases/a", old="old")  # as a campaign keeps them
+    write_manifest(tmp_path / "ours", stage="sweep", command=[], inputs={}, seed=None, wall_s=0.0)
     (tmp_path / "empty").mkdir()
     for name in ("ours", "empty"):
         folder_with("thesis.tex", "years")(tmp_path / f"{name}.old")
@@ -93,6 +111,81 @@ def test_an_empty_folder_and_an_output_of_ours_are_replaced_and_neighbours_kept(
         assert [path.name for path in (tmp_path / name).iterdir()] == ["new"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "empty.old", "ours", "ours.old"]
     assert (tmp_path / "ours.old" / "thesis.tex").exists()
+
+
+def linked(folder):
+    (folder / "map.yaml").unlink()
+    (folder / "map.yaml").symlink_to("truth/map.yaml")
+
+
+STRANGERS = [
+    ("notes.txt is not part of this output", lambda out: (out / "notes.txt").write_text("years")),
+    ("truth/notes.txt is not part of this output", lambda out: (out / "truth/notes.txt").write_text("years")),
+    ("mine/a is not part of this output", lambda out: ours(out / "mine", a="a")),
+    ("a is not part of this output", lambda out: (out / "a").symlink_to("map.yaml")),
+    ("a is not part of this output", lambda out: (out / "a").symlink_to("truth")),
+    ("pipe is not part of this output", lambda out: os.mkfifo(out / "pipe")),
+    (
+        "a is not part of this output (and 1 more)",
+        lambda out: [(out / name).write_text("years") for name in ("a", "b")],
+    ),
+    (
+        "map.yaml was changed since turtlebag wrote it",
+        lambda out: (out / "map.yaml").write_text("free_thresh: 0.3\n"),
+    ),
+    ("map.yaml was changed since turtlebag wrote it", linked),
+]
+
+
+@pytest.mark.parametrize(("said", "put"), STRANGERS)
+def test_what_somebody_put_into_an_output_or_edited_there_is_refused_by_name(tmp_path, said, put):
+    out = ours(tmp_path / "out", **{"map.yaml": "free_thresh: 0.196\n", "truth/map.yaml": "a"})
+    put(out)
+    before = state(tmp_path)
+    with pytest.raises(InputError) as error, staged_output(out, force=True):
+        pass
+    assert str(error.value).startswith(f"{out}: {said}; --force does not remove it")
+    assert state(tmp_path) == before
+
+
+def test_what_appears_in_an_output_while_it_is_replaced_is_kept_there_and_the_result_too(tmp_path):
+    out = ours(tmp_path / "out", old="old")
+    with pytest.raises(InputError, match=r"notes\.txt is not part .* kept in .*out\.partial"):
+        write(out, [], lambda: (out / "notes.txt").write_text("years"), force=True)
+    assert {path.name for path in out.iterdir()} == {"old", "notes.txt", "manifest.json"}
+    assert [path.name for path in (tmp_path / "out.partial").iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("place", ["out", "out/truth"])
+def test_an_output_that_cannot_be_removed_stays_and_so_does_the_result(tmp_path, place):
+    out = ours(tmp_path / "out", **{"truth/map.yaml": "a"})
+    with ordinary_user():
+        with pytest.raises(InputError, match=r"cannot be changed .* kept in .*out\.partial"):
+            write(out, [], (tmp_path / place).chmod, 0o555, force=True)
+        (tmp_path / "out.partial").rename(tmp_path / "kept")
+        with pytest.raises(InputError, match="cannot be changed"), staged_output(out, force=True):
+            pass
+    assert (out / "truth/map.yaml").read_text() == "a"
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["a"]
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "kept"}
+
+
+def test_what_file_managers_leave_is_nobodys(tmp_path):
+    out, read = ours(tmp_path / "out", a="a"), ours(tmp_path / "in", a="a")
+    before = sha256_tree(read)
+    (out / "Thumbs.db").write_text("")
+
+    def looked_at():
+        for folder in (out, read):
+            (folder / ".DS_Store").write_text("")
+
+    write(out, [read], looked_at, force=True)
+    assert [path.name for path in out.iterdir()] == ["a"]
+    assert sha256_tree(read) == before
+    (out / "a").rename(out / ".DS_Store")
+    with staged_output(out, force=True):
+        pass
+    assert list(out.iterdir()) == []
 
 
 @pytest.mark.parametrize("deeper", ["", "deeper/still"])
@@ -195,8 +288,8 @@ def test_a_picture_is_replaced_by_a_picture_only(tmp_path):
     with pytest.raises(InputError, match="not a folder"), staged_output(tmp_path / "out.png", force=True):
         pass
     with staged_file(tmp_path / "out.png", force=True) as file:
-        file.write_bytes(PNG + b"new")
-    assert (tmp_path / "out.png").read_bytes() == PNG + b"new"
+        file.write_bytes(png(Title="new", Software="turtlebag"))
+    assert (tmp_path / "out.png").read_bytes() == png(Title="new", Software="turtlebag")
     assert [path.name for path in tmp_path.iterdir()] == ["out.png"]
     (tmp_path / "out.png.partial").write_text("mine")
     with pytest.raises(InputError, match="in the way"), staged_file(tmp_path / "out.png", force=True):

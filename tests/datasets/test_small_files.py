@@ -104,3 +104,8 @@ def test_yaml_is_read_with_one_line_for_what_is_wrong(tmp_path):
     for missing in ("c.yaml", "c.yml", "./c"):
         with pytest.raises(InputError, match="no such world file"):
             find_named(missing, tmp_path, "world")
+
+
+def test_numbers_to_the_base_of_60_are_texts():
+    found = parsed("[1:30, 1:30.5, -2:00, 90, 0.5, 12:x]", where="a")
+    assert found == ["1:30", "1:30.5", "-2:00", 90, 0.5, "12:x"]

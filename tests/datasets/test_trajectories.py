@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum, stamp_from_text, stamp_text
+from turtlebag.datasets.trajectories_3d import read_trajectory_3d
 from turtlebag.datasets.types import Trajectory
 
 
@@ -62,3 +63,46 @@ def test_a_single_pose_is_held_everywhere():
         1,
         1,
     ]
+
+
+def tum_text(xyt, order="xyzw", tilt=0.0):
+    lines = []
+    for k, (x, y, yaw) in enumerate(xyt):
+        q = {"x": tilt, "y": 0.0, "z": np.sin(yaw / 2.0), "w": np.cos(yaw / 2.0)}
+        lines.append(f"{k} {x} {y} 0 {' '.join(str(q[axis]) for axis in order)}")
+    return "\n".join(lines) + "\n"
+
+
+YAWS = np.linspace(0.0, 3.0, 31)
+ARC = [(2.0 * np.sin(yaw), 2.0 - 2.0 * np.cos(yaw), yaw) for yaw in YAWS]
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.01])
+def test_quaternions_with_w_first_are_noticed(tmp_path, tilt):
+    path = tmp_path / "w_first.tum"
+    path.write_text(tum_text(ARC, "wxyz", tilt))
+    for read in (load_tum, lambda file: read_trajectory_3d(file, None, np.zeros(0, dtype=np.int64))):
+        with pytest.raises(InputError, match=r"w_first\.tum: its quaternions have w first, as it seems"):
+            read(path)
+
+
+def test_no_file_with_w_last_is_taken_for_one_with_w_first(tmp_path):
+    rng = np.random.default_rng(4)
+    path = tmp_path / "a.tum"
+    drives = [
+        [(0.1 * k, 0.0, 0.0) for k in range(20)],
+        [(-0.1 * k, 0.0, np.pi) for k in range(20)],
+        [(0.0, 0.0, yaw) for yaw in np.linspace(-9.0, 9.0, 99)],
+        [(1.0, 2.0, yaw) for yaw in (np.pi, -np.pi, 0.0)],
+        ARC[:1],
+        *(np.cumsum(rng.normal(0.0, 0.3, (40, 3)), axis=0) for _ in range(20)),
+    ]
+    for drive in drives:
+        path.write_text(tum_text(drive))
+        np.testing.assert_allclose(load_tum(path).poses.xyt[:, :2], np.array(drive)[:, :2])
+    # Upside down and turning, and a body that rolls in a pipe along x.
+    turned = [f"{k} {x} {y} 0 {np.cos(a / 2)} {np.sin(a / 2)} 0 0" for k, (x, y, a) in enumerate(ARC)]
+    rolled = [f"{k} {0.1 * k} 0 0 {np.sin(a / 2)} 0 0 {np.cos(a / 2)}" for k, a in enumerate(YAWS)]
+    for lines in (turned, rolled):
+        path.write_text("\n".join(lines))
+        assert len(read_trajectory_3d(path, None, np.zeros(0, dtype=np.int64))) == 31

@@ -8,7 +8,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
@@ -108,6 +109,37 @@ def test_an_outline_off_the_map_is_refused_by_its_number(true_map, tmp_path, cap
     assert "keepout.yaml: keepout 2: lies outside the map" in capsys.readouterr().err
 
 
+def mask_of(folder, grid):
+    """The yaml of a mask of Nav2's keepout filter."""
+    folder.mkdir()
+    return save_map(grid, folder, "mask")
+
+
+def test_a_mask_of_nav2_keeps_out_of_its_occupied_cells(true_map, tmp_path, capsys):
+    words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--goal=-1,0.55,0"]
+    words += ["--initial-pose", "start", "--out", str(tmp_path / "run"), "--keepout"]
+    black, white = (np.full((20, 8), value, dtype=np.int8) for value in (OCCUPIED, FREE))
+    over = mask_of(tmp_path / "over", OccupancyGrid(black, 0.1, SE2.from_xyt(-1.2, -1.0, 0.0)))
+    assert main([*words, str(over)]) == 2
+    assert "obstacle" in capsys.readouterr().err
+    off = mask_of(tmp_path / "off", OccupancyGrid(black, 0.1, SE2.from_xyt(90.0, 90.0, 0.0)))
+    assert main([*words, str(off)]) == 2
+    assert "mask.yaml: keepout 1: lies outside the map" in capsys.readouterr().err
+    empty = mask_of(tmp_path / "empty", OccupancyGrid(white, 0.1))
+    assert main([*words, str(empty)]) == 2
+    assert "mask.yaml: its image has no occupied cell" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_image_of_a_mask_is_an_input_too(true_map, tmp_path):
+    grid = OccupancyGrid(np.full((4, 4), OCCUPIED, dtype=np.int8), 0.05, SE2.from_xyt(0.4, 0.4, 0.0))
+    mask = mask_of(tmp_path / "mask", grid)
+    words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--goal=-1,0.55,0"]
+    assert main([*words, "--keepout", str(mask), "--out", str(tmp_path / "run")]) == 1  # no initial pose
+    inputs = json.loads((tmp_path / "run" / "manifest.json").read_text())["inputs"]
+    assert set(inputs) == {"map", "map_image", "keepout", "keepout_image"}
+
+
 def test_the_manifest_of_a_run_names_every_file_that_went_in_and_a_yaw_in_degrees_is_asked_about(
     true_map, tmp_path, capfd
 ):
@@ -173,7 +205,7 @@ def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map
         "plan.stretch=nan",
         "plan.ompl.iterations=0",
         "plan.ompl.space=torus",
-        "plan.ompl.turning_radius=0",
+        "plan.ompl.space=dubins",
         "plan.ompl.planner=Dijkstra",
         "plan.nothing=1",
         "costmap.inflation=1",

@@ -63,6 +63,34 @@ def test_keepout_polygons_are_lethal_in_a_turned_map_too():
     assert costmap.with_lethal(mask).clearance_at(T_map_grid @ np.array([1.5, 2.0])) == 0.0
 
 
+@pytest.mark.parametrize("resolution", [0.02, 0.05, 0.2])
+def test_a_mask_of_any_resolution_is_lethal_where_it_is_occupied(resolution):
+    cells = np.full((100, 100), FREE, dtype=np.int8)
+    T_map_grid = SE2.from_xyt(1.0, -2.0, 0.4)
+    grid = OccupancyGrid(cells, 0.05, T_map_grid)
+    values = np.full((round(8.0 / resolution),) * 2, UNKNOWN, dtype=np.int8)
+    mask = OccupancyGrid(values, resolution, SE2.from_xyt(-1.0, -3.0, -0.3))
+    points = mask.center_of(np.stack(np.mgrid[0 : values.shape[0], 0 : values.shape[1]], axis=-1))
+    values[(np.abs(points - [2.5, 1.0]) < [0.6, 0.8]).all(axis=-1)] = OCCUPIED
+    values[0, 0] = 99  # graded, as in a mask of mode scale: no area
+    costmap = costmap_from_grid(grid, CostmapConfig(), [mask])
+    centres = grid.center_of(np.stack(np.mgrid[0:100, 0:100], axis=-1))
+    inner = (np.abs(centres - [2.5, 1.0]) < np.array([0.6, 0.8]) - resolution).all(axis=-1)
+    outer = (np.abs(centres - [2.5, 1.0]) < np.array([0.6, 0.8]) + resolution + 0.05).all(axis=-1)
+    assert inner.sum() > 100
+    assert costmap.lethal[inner].all()
+    assert not costmap.lethal[~outer].any()
+    np.testing.assert_array_equal(costmap.keepout, costmap.lethal)
+
+
+def test_a_single_fine_cell_of_a_mask_is_not_lost():
+    grid = OccupancyGrid(np.full((20, 20), FREE, dtype=np.int8), 0.1)
+    values = np.full((200, 200), FREE, dtype=np.int8)
+    values[101, 73] = OCCUPIED
+    costmap = costmap_from_grid(grid, CostmapConfig(), [OccupancyGrid(values, 0.01)])
+    assert np.argwhere(costmap.lethal).tolist() == [[10, 7]]
+
+
 def free_map(size):
     cells = np.full((size, size), FREE, dtype=np.int8)
     return costmap_from_grid(OccupancyGrid(cells, 0.05, SE2.identity()), CostmapConfig())

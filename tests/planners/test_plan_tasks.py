@@ -224,7 +224,7 @@ def test_an_entry_of_a_waypoints_file_is_a_pose(entry, pose):
         ({"x": 1, "y": math.inf}, "y is not a finite number"),
         ({"x": 1, "y": 2, "yaw": math.nan}, "yaw is not a finite number"),
         ([1, 2, None], "yaw is not a finite number"),
-        ({"x": 1, "y": 2, "z": 2}, "unknown key z"),
+        ({"x": 1, "y": 2, "speed": 2}, "unknown key speed"),
         ({"x": 1, "y": 2, "wait": -1}, "wait must be 0 to 3600 s"),
         ({"x": 1, "y": 2, "wait": 3601}, "wait must be 0 to 3600 s"),
         ({"x": 1, "y": 2, "wait": "long"}, "wait must be 0 to 3600 s"),

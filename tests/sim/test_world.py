@@ -1,15 +1,18 @@
 """World files and the true map."""
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
+from turtlebag.sim.rasterize import true_map
 from turtlebag.sim.shapes import as_rectangle, ball, box, contains, cylinder, mesh, prism
-from turtlebag.sim.worlds import load_world, world_names
+from turtlebag.sim.worlds import load_world
 
 FACTS = Path(__file__).parents[3] / "shared" / "facts"
 
@@ -89,37 +92,6 @@ def test_own_world_file_is_read(tmp_path):
     assert as_rectangle(world.shapes[0].polygon) == pytest.approx((2.0, 0.0, 1.0, 2.0, 0.5))
 
 
-@pytest.mark.parametrize(
-    ("shapes", "message"),
-    [
-        ("[{kind: box, name: b, center: [2, 0], size: [1, -2], z: [0, 1]}]", "size"),
-        ("[{kind: ball, center: [2, 0]}]", "kind"),
-        ("[{kind: prism, name: p, polygon: [[0, 0], [2, 0], [0.5, 0.5], [0, 2]], z: [0, 1]}]", "not convex"),
-        ("[{kind: prism, name: p, polygon: [[0, 0], [1, 1], [2, 2]], z: [0, 1]}]", "no area"),
-        ("[{kind: cylinder, center: [.nan, 0], radius: 1, z: [0, 1]}]", "center"),
-        ("{", "not valid YAML"),
-    ],
-)
-def test_a_bad_world_file_is_one_line_that_says_what_is_wrong(tmp_path, shapes, message):
-    with pytest.raises(InputError, match=message) as caught:
-        load_world(write_world(tmp_path, shapes))
-    assert "\n" not in str(caught.value)
-    assert "mine.yaml" in str(caught.value)
-
-
-def test_a_map_is_no_world_file(tmp_path):
-    path = tmp_path / "map.yaml"
-    path.write_text("image: map.pgm\nresolution: 0.05\n")
-    with pytest.raises(InputError, match=r"map\.yaml: not a world file: it has no 'shapes'$"):
-        load_world(str(path))
-
-
-def test_an_unknown_world_lists_the_known():
-    with pytest.raises(InputError, match="unknown world 'moon'") as caught:
-        load_world("moon")
-    assert all(name in str(caught.value) for name in world_names())
-
-
 def test_outlines_are_counter_clockwise_whatever_was_given():
     square = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])
     for outline in (square, square[::-1]):
@@ -163,10 +135,31 @@ def test_house_has_six_connected_rooms_and_no_way_out_with_the_gate_shut():
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["turtlebot3_house:gate=ajar", "turtlebot3_house:roof=off", "empty:gate=open"]
-)
-def test_an_unknown_option_of_a_world_is_refused(name):
-    with pytest.raises(InputError, match=r"gate|roof"):
-        load_world(name)
+def test_a_world_of_thousands_of_solids_is_mapped_in_seconds():
+    """Each solid once had every other one asked for its bounds, and every cell of the map: minutes."""
+    side = np.arange(-35.0, 35.5, 1.0)
+    boxes = [box("", (x, y), (0.2, 0.3), x, (0.0, 1.0)) for x in side for y in side if x or y]
+    begun = time.process_time()
+    grid = true_map(boxes, 0.2, (-36.0, 36.0, -36.0, 36.0), np.zeros(2), 0.05)
+    assert time.process_time() - begun < 20.0
+    assert scipy.ndimage.label(grid.cells == OCCUPIED, structure=np.ones((3, 3)))[1] == len(boxes) == 5040
+
+
+def test_worlds_of_too_many_things_are_refused(tmp_path):
+    path = tmp_path / "a.yaml"
+    ball = "kind: cylinder, center: [3, 0], radius: 0.1, z: [0, 1]"
+    many = {
+        "shapes": (f"- {{{ball}}}\n", 20_001, "20000"),
+        "movers": ("- {radius: 0.1, path: [[1, 1]], speed: 1}\n", 101, "100"),
+        "keepout": ("- [[0, 0], [1, 0], [0, 1]]\n", 1001, "1000"),
+    }
+    for key, (entry, count, most) in many.items():
+        rest = "" if key == "shapes" else f"shapes: [{{{ball}}}]\n"
+        path.write_text(f"name: a\nspawn: [0, 0, 0]\n{rest}{key}:\n{entry * count}")
+        with pytest.raises(InputError, match=rf"a.yaml: {key}: must have at most {most} items, not {count}$"):
+            load_world(str(path))
+    corners = ", ".join(f"[{np.cos(a):.6f}, {np.sin(a):.6f}]" for a in np.linspace(0, 6.28, 1001))
+    disc = f"kind: prism, z: [0, 1], polygon: [{corners}]"
+    path.write_text(f"name: a\nspawn: [3, 0, 0]\nshapes: [{{{disc}}}]\n")
+    with pytest.raises(InputError, match="polygon: must have at most 1000 items"):
+        load_world(str(path))

@@ -159,23 +159,60 @@ def test_includes_are_found_on_the_model_path(tmp_path, monkeypatch):
     assert one(tmp_path, body).center == pytest.approx((2.0, 0.0))
 
 
+FUEL = "https://fuel.gazebosim.org/1.0/OpenRobotics/models"
+
+
 @pytest.mark.parametrize(
-    "body",
+    ("floor", "sun"),
     [
-        model("<box><size>1 1</size></box>"),
-        model("<box><size>1 1 inf</size></box>", "0 0 0 0.1 0 0"),
-        model("<box><size>1 1 1e-20</size></box>", "0 0 0 0.1 0 0"),
-        model("<cylinder><radius>-1</radius><length>1</length></cylinder>"),
-        model("<mesh><uri>none.stl</uri></mesh>"),
-        model("<box><size>1 1 1</size></box>", "0 0 0"),
-        model("<torus/>"),
-        "<model",
+        ("model://ground_plane", "model://sun"),
+        (f"{FUEL}/Ground Plane", f"{FUEL}/Sun"),
+        (f"{FUEL}/Ground%20Plane", f"{FUEL}/Sun/2"),
+        (f"{FUEL}/Ground Plane/tip".replace("gazebosim", "ignitionrobotics"), f"{FUEL}/sun"),
+        ("https://app.gazebosim.org/OpenRobotics/fuel/models/Ground%20Plane", f"{FUEL.lower()}/Sun"),
     ],
 )
-def test_bad_sdf_is_one_line_with_the_files_name(tmp_path, body):
-    with pytest.raises(InputError, match=r"w\.world") as caught:
+def test_the_floor_and_the_sun_need_no_model(tmp_path, floor, sun):
+    # As turtlebot3_simulations has it: worlds beside models, the model included within one.
+    folder = tmp_path / "models" / "my_house"
+    folder.mkdir(parents=True)
+    (folder / "model.sdf").write_text(f"<sdf version='1.6'>{model('<box><size>1 1 1</size></box>')}</sdf>")
+    (tmp_path / "worlds").mkdir()
+    light = f"<include><uri>{floor}</uri></include><include>\n<uri> {sun} </uri></include>"
+    house = "<include><uri>model://my_house</uri></include>"
+    body = f"{light}<model name='my_house'><static>1</static>{house}</model>"
+    assert load_world(str(write(tmp_path / "worlds", body))).shapes[0].center == pytest.approx((0.0, 0.0))
+    with pytest.raises(InputError, match=r"contains no static .* --world empty"):
+        load_world(str(write(tmp_path / "worlds", light, "empty.world")))
+
+
+def test_all_that_is_not_found_is_named_in_one_line(tmp_path):
+    folder = tmp_path / "crate"
+    folder.mkdir()
+    missing = model("<mesh><uri>model://crate/meshes/crate.dae</uri></mesh>")
+    (folder / "model.sdf").write_text(f"<sdf version='1.6'>{missing}</sdf>")
+    uris = ["model://table", "model://table", f"{FUEL}/Chair", "model://crate", f"{FUEL}/Sun/files/sun.dae"]
+    body = "".join(f"<include><uri>{uri}</uri></include>" for uri in uris) + "<include/>"
+    with pytest.raises(InputError) as caught:
         load_sdf(write(tmp_path, body))
-    assert "\n" not in str(caught.value)
+    told = str(caught.value)
+    assert "\n" not in told
+    assert told.split("not found: ")[1].split("; ")[0].split(", ") == [
+        "model://table",
+        f"{FUEL}/Chair",
+        "model://crate/meshes/crate.dae",
+        f"{FUEL}/Sun/files/sun.dae",
+        "an include without a uri",
+    ]
+
+
+def test_a_model_of_fuel_is_found_by_its_name_on_gazebos_paths(tmp_path, monkeypatch):
+    folder = tmp_path / "elsewhere" / "Big Chair"
+    folder.mkdir(parents=True)
+    (folder / "model.sdf").write_text(f"<sdf version='1.6'>{model('<box><size>1 1 1</size></box>')}</sdf>")
+    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(tmp_path / "elsewhere"))
+    body = f"<include><uri>{FUEL}/Big%20Chair/3</uri><pose>2 0 0.5 0 0 0</pose></include>"
+    assert one(tmp_path, body).center == pytest.approx((2.0, 0.0))
 
 
 def test_pose_matrix_is_a_rotation_and_a_translation():

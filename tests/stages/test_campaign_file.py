@@ -75,6 +75,8 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("fake --size {size} --seed", "fake --size {size} --out here --seed", "stages.make: --out is set by"),
+        ("--odd 'two words'", "--odd '--out=x'", "factors.kind.strange: --out is set by the campaign"),
         ("compare: size", "compare: shape", "not a factor"),
         ('"make:error.rmse"', '"cook:error"', "expected STAGE:PATH"),
         ("{size} --seed", "{height} --seed", "{height} is neither a factor nor an earlier stage"),

@@ -32,7 +32,6 @@ COMMANDS = {
     "compare": "compare CHAIN/map CHAIN/map",
     "convert": "bag convert CHAIN/record",
     "sqlite3": "bag convert CHAIN/record --storage sqlite3",
-    "ros1.bag": "bag convert CHAIN/record",
     "recover": "bag recover CHAIN/record",
     "world.png": "world show turtlebot3_world",
     "sweep": "sweep HERE/campaign.yaml --workers 1",

@@ -9,7 +9,8 @@ import pytest
 
 from tests.helpers.campaigns import CAMPAIGN, UNDRAWN
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.output_lock import MARKER, lock_output
+from turtlebag.datasets.output_lock import lock_output
+from turtlebag.datasets.output_rules import MARKER
 from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree, write_json, write_manifest
 from turtlebag.pipeline.campaign.campaign_file import Campaign, load_campaign
 from turtlebag.pipeline.campaign.case import Where, recipes, run_case
@@ -51,6 +52,90 @@ def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
     assert query(store, "SELECT size FROM runs") == (["size"], [(1,)])
     with pytest.raises(InputError, match="is empty"):
         query(store, sql)
+
+
+READING = ["FROM runs", "DESCRIBE runs", "WITH t AS (SELECT 1) SELECT * FROM runs", "SUMMARIZE runs;"]
+WRITING = [
+    "COPY runs TO '{}'",
+    "SELECT 1; COPY runs TO '{}'",
+    "ATTACH '{}' AS other",
+    "EXPORT DATABASE '{}'",
+    "INSTALL httpfs",
+    "LOAD parquet",
+    "INSERT INTO runs VALUES (2, true)",
+    "CREATE TABLE other AS SELECT 1",
+    "SET enable_external_access = true",
+    "CALL enable_logging(storage = 'file', storage_path = '{}')",
+]
+REACHING = ["FROM '{}'", "FROM read_text('{}')", "FROM glob('{}')", "FROM read_parquet('{}')", "FROM index"]
+
+
+def test_a_query_only_reads_and_only_the_table(tmp_path):
+    store, aim = Store(str(tmp_path / "store")), tmp_path / "aim.csv"
+    write_table([{"size": 1, "failed": False}], "failed", store)
+    before = sha256_tree(tmp_path)
+    for sql in READING:
+        assert query(store, sql)[1]
+    for sql in WRITING:
+        with pytest.raises(InputError, match=r"^--query: only one SELECT is run"):
+            query(store, sql.format(aim))
+    assert sha256_tree(tmp_path) == before
+    aim.write_text("secret\n")
+    for sql in REACHING:
+        with pytest.raises(InputError, match=r"^--query: "):
+            query(store, sql.format(aim))
+
+
+@pytest.mark.parametrize(
+    ("index", "told"),
+    [
+        ("[", "not readable JSON"),
+        ("{}", "columns: is missing"),
+        ('{"columns": {"a": "BIGINT"}, "partition": "b", "files": []}', "partition: b is not a column"),
+        (
+            '{"columns": {"a": "INT}); COPY (SELECT 1) TO \'x\'"}, "partition": "a", "files": []}',
+            "partition: a is not a",
+        ),
+        ('{"columns": {"a": "BIGINT"}, "partition": "a", "files": ["../other.parquet"]}', "files.0"),
+    ],
+)
+def test_an_index_of_a_table_that_is_none_is_one_line(tmp_path, index, told):
+    (tmp_path / "results.json").write_text(index)
+    with pytest.raises(InputError, match=rf"results\.json: {told}"):
+        query(Store(str(tmp_path)), "SELECT 1")
+
+
+MISSPELT = """
+name: small
+factors: {size: [1, 2]}
+stages: {make: "fake --size {size}"}
+results: {good: "make:good", worse: "make:error.rsme", whole: "make:error", nothing: "make:nothing"}
+"""
+
+
+def test_a_result_that_no_case_has_is_an_error_that_names_it(tmp_path, caplog):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    def run(argv):
+        code = fake_main(argv)
+        path = Path(argv[argv.index("--out") + 1]) / "metrics.json"
+        write_json(path, {**json.loads(path.read_text()), "nothing": None})
+        return code
+
+    file = tmp_path / "mine.yaml"
+    file.write_text(MISSPELT)
+    assert sweep(str(file), Output(tmp_path / "out"), run, scheduler="threads") == 1
+    errors = [record.message for record in caplog.records if record.levelname == "ERROR"]
+    assert errors == [
+        f"{file}: results.worse: no case has make:error.rsme; did you mean make:error.rmse?",
+        f"{file}: results.whole: no case has make:error; did you mean make:error.rmse?",
+    ]
+    early = [record.message for record in caplog.records if "so far" in record.message]
+    assert early[0] == "results.worse: no case has make:error.rsme; did you mean make:error.rmse? (so far)"
+    assert len(early) == 2
+    assert query(Store(str(tmp_path / "out")), "SELECT count(good) FROM runs") == (["count(good)"], [(2,)])
+    file.write_text(MISSPELT.replace('worse: "make:error.rsme", whole: "make:error", ', ""))
+    assert sweep(str(file), Output(tmp_path / "right"), run, scheduler="threads") == 0
 
 
 def row_of(tmp_path, run=fake_main, at=None, **factors):

@@ -7,14 +7,17 @@ import sys
 import time
 
 import pytest
+import yaml
 
+from tests.helpers.full_disks import files_below
 from tests.studio.walk import differences, silent
 from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.errors import Unfinished
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.studio import replay, studio_output
+from turtlebag.pipeline.studio.inputs import Save
 from turtlebag.pipeline.studio.journal import load_session
-from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
 
 pytestmark = pytest.mark.slow
@@ -92,7 +95,7 @@ def test_what_is_left_of_a_session_is_set_aside_by_the_next(killed, tmp_path, ca
         pass
     aside = tmp_path / "live.unfinished"
     assert load_session(aside / "session.yaml").actions[0][1].do == "record"
-    assert f"an unfinished session is now {aside}; " in caplog.text
+    assert f"what an unfinished command left is now in {aside} (`turtlebag studio" in caplog.text
     assert (tmp_path / "live/manifest.json").exists()
 
 
@@ -104,24 +107,25 @@ def test_a_killed_replay_leaves_nothing_that_looks_finished_and_can_be_begun_aga
     process.wait()
     assert not out.exists()
     assert replay(killed / "session.yaml", Output(out), say=silent) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "out.unfinished"}
 
 
-def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path, monkeypatch):
-    inner = Session.tick
+def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path):
+    """Ctrl-C comes when the session tells that its task was cancelled, after two seconds of four."""
+    told = yaml.safe_load((killed / "session.yaml").read_text())
+    before = [entry for entry in told["inputs"] if entry.get("at", entry.get("end")) < 2.0]
+    told["inputs"] = [*before, {"at": 2.0, "do": "cancel"}, {"at": 4.0}]
+    (tmp_path / "session.yaml").write_text(yaml.safe_dump(told))
 
-    def tick(self):
-        inner(self)
-        if self.stamp_ns == 2 * 10**9:
+    def interrupt(line):
+        if "cancelled" in line:
             signal.raise_signal(signal.SIGINT)
 
-    with monkeypatch.context() as patched:
-        patched.setattr(Session, "tick", tick)
-        assert replay(killed / "session.yaml", Output(tmp_path / "out"), say=silent) == 130
+    assert replay(tmp_path / "session.yaml", Output(tmp_path / "out"), say=interrupt) == 130
     assert read_commands(tmp_path / "out/bags/drive")[0][-1] > 1e9
     recorded = load_session(tmp_path / "out/session.yaml")
     assert recorded.actions[-1][1].do == "end"
-    assert recorded.until_ns < 2.1e9
+    assert 2e9 <= recorded.until_ns < 2.1e9
     assert replay(tmp_path / "out/session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(tmp_path / "out", tmp_path / "again") == []
 
@@ -132,7 +136,21 @@ def fail_within(out):
         raise ZeroDivisionError
 
 
-def test_an_error_within_leaves_nothing(tmp_path):
+def test_what_was_driven_before_an_error_is_kept(tmp_path, caplog):
     with pytest.raises(ZeroDivisionError):
         fail_within(tmp_path / "out")
-    assert list(tmp_path.iterdir()) == []
+    aside = tmp_path / "out.unfinished"
+    assert list(tmp_path.iterdir()) == [aside]
+    assert f"what was recorded is kept in {aside} (`turtlebag studio --replay" in caplog.text
+    with files_below(60_000), pytest.raises(Unfinished, match=r"File too large; .*out\.unfinished-2"):
+        fill_within(tmp_path / "out")
+    saved = tmp_path / "saved"
+    assert main(["bag", "recover", str(tmp_path / "out.unfinished-2/bags/drive"), "--out", str(saved)]) == 0
+    assert len(read_commands(saved)[0]) > 25
+
+
+def fill_within(out):
+    with studio_output(StudioSetup("empty"), Output(out), say=silent) as session:
+        session.apply(Save(do="record", name="drive"))
+        for _ in range(300):
+            session.tick()

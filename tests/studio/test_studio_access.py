@@ -10,7 +10,6 @@ from tornado.iostream import IOStream
 
 from tests.studio.fakes import FakeSession, Served, connect, run
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio import server
 from turtlebag.pipeline.studio.access import Access, is_loopback, listen
 
 
@@ -24,10 +23,9 @@ def served(tmp_path_factory):
     (folder / "secret.js").write_text("secret")
     (folder / "static/link.js").symlink_to(folder / "secret.js")
     (folder / "static/notes.txt").write_text("not a part of the page")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(server, "PAGE", folder / "static")
-        with Served(FakeSession(cells=np.zeros((64, 64), dtype=np.int8))) as running:
-            yield running
+    session = FakeSession(cells=np.zeros((64, 64), dtype=np.int8))
+    with Served(session, page=folder / "static") as running:
+        yield running
     assert running.failure is None
 
 
@@ -49,6 +47,8 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
         assert page.headers["Referrer-Policy"] == "no-referrer"
         assert page.headers["X-Frame-Options"] == "DENY"
         assert "Server" not in page.headers
+        same = await fetch(served.url.replace("/?", "/index.html?"))
+        assert (same.code, same.body) == (page.code, page.body)
         part = await fetch(f"{served.place}/parts/main.js")
         assert (part.code, part.headers["Content-Type"]) == (200, "text/javascript; charset=utf-8")
         assert part.headers["X-Content-Type-Options"] == "nosniff"
@@ -62,9 +62,10 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
 def test_without_the_token_there_is_neither_page_nor_socket(served, query, caplog):
     async def attempt():
         query_ = query.format(served.access.token)
-        page = await fetch(f"{served.place}/{query_}")
-        assert page.code in (400, 403)
-        assert served.access.token.encode() not in page.body
+        for name in ("", "index.html", "index%2Ehtml", "%69ndex.html"):
+            page = await fetch(f"{served.place}/{name}{query_}")
+            assert page.code in (400, 403)
+            assert served.access.token.encode() not in page.body
         with pytest.raises(HTTPClientError, match=r"40[03]"):
             await connect(f"{served.place}/{query_}")
 

@@ -38,6 +38,8 @@ SENSELESS = {
     '{"do": "drive", "v": NaN, "w": 0}': "drive: v",
     '{"do": "drive", "v": 1e999, "w": 0}': "drive: v",
     '{"do": "drive", "x": 1}': "unknown key",
+    '{"do": "loop_reject", "scan": 5, "place": 5}': "page: loop_reject: scan and place are the same scan",
+    '{"do": "loop_add", "scan": 5, "place": 5, "pose": [0, 0, 0]}': "loop_add: scan and place are the same",
     '{"do": "map_save", "name": "../../etc/passwd"}': "name",
     '{"do": "record", "name": "a/b"}': "name",
     '{"do": "goal", "pose": [1]}': "pose",
