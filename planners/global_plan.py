@@ -26,7 +26,7 @@ from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, OmplConfig, solve
-from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
+from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 
@@ -79,14 +79,12 @@ def plan_path(
 ) -> Plan:
     """A collision-free path for the footprint by the planner of the settings; raises NoPath with the reason.
 
-    InputError where that is the user's own and not to be had, or gives back something else.
+    InputError where that is the user's own and not to be had.
     """
     if not fits(costmap, model, T_map_goal):
         raise NoPath("the goal is in an obstacle or off the map")
     planner: GlobalPlanner = chosen(config.planner, {"ompl": OmplPlanner}, GlobalPlanner)(config)
-    plan = planner.plan(costmap, model, T_map_start, T_map_goal, seed)
-    require_plan(planner, plan)
-    return plan
+    return planner.plan(costmap, model, T_map_start, T_map_goal, seed)
 
 
 class OmplPlanner:

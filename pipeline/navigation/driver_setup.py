@@ -12,7 +12,7 @@ from turtlebag.datasets.durations import LONGEST_S
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.parts import find, is_own, require_attributes
+from turtlebag.datasets.parts import find, is_own
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.config import NavigateConfig
@@ -161,7 +161,6 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
 
 
 Made = tuple[Task, OnlineLocaliser | None, GoalSequence | None]
-DriverMaker = Callable[[Mission, Observation, BagWriter, Callable[[str], None]], Made]
 
 
 def make_driver(
@@ -172,7 +171,6 @@ def make_driver(
     kit = Kit(robot, config, request.seed, Sensing(robot.T_base_lidar), publisher)
     if is_own(request.task):
         task: Task = find(request.task, Task)(kit, mission)
-        require_attributes(task, Task)
         return task, None, None
     if request.task == "avoid":
         return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say), None, None

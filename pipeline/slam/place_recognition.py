@@ -21,13 +21,12 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, MOST_VIOLATIONS, NEAR_M, THROUGH_M, mean_violation
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.point_to_line_icp import Alignment
@@ -101,8 +100,8 @@ def recognise_places(
         poses, segment = join_parts(poses, segment, members)
     loops = [by_distance.constraint(place) for members in believed for place in members]
     free = [*relaxed(steps, released), *known]
-    closed = solved(back_end, SE2(poses), [*free, *firm(loops)])
-    return Recognition(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
+    closed = back_end.optimise(SE2(poses), [*free, *firm(loops)])
+    return Recognition(back_end.optimise(closed, [*free, *loops]), loops, record, part, released)
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
@@ -178,7 +177,6 @@ def judge_place(
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     result = matcher.match(clouds, middle, there, start, ROUGH)
-    require_alignment(matcher, result)
     pose = result.T_map_base.xyt
     if result.overlap < config.min_overlap:  # no need to ask the other scans
         return _low_overlap(query, other, score, result)

@@ -30,6 +30,8 @@ from turtlebag.sim.teleop_scripts import commands, load_script, script_names
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world, own_files
 
+MANY_SHAPES = 1000
+
 
 class RecordOptions(Settings):
     """What --config and --set may change."""
@@ -67,6 +69,8 @@ def record(scene: Scene, teleop: str, out: Output) -> int:
     if own and is_recording(teleop):
         driver, label = replayed(Path(teleop))
     else:
+        if (count := len(scene.world.shapes)) > MANY_SHAPES:
+            log.info(f"{count} shapes: planning the drive may take minutes")
         driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
     return record_drive(scene, driver, label, out, inputs=inputs)
 

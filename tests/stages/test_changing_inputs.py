@@ -7,8 +7,8 @@ import pytest
 
 import turtlebag.pipeline.stages.sources
 from tests.helpers.bag_samples import write_drive
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets import files
-from turtlebag.datasets.bags import convert
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
@@ -23,7 +23,7 @@ def bag(request, tmp_path, monkeypatch):
     write_drive(tmp_path / "drive", seconds=5.0)
     file = tmp_path / "drive" / "bag_0.mcap"
     if request.param == "a.bag":
-        convert.to_ros1_bag(file, tmp_path / "a.bag")
+        to_ros1_bag(tmp_path / "drive", tmp_path / "a.bag")
         file = tmp_path / "a.bag"
     assert file.stat().st_size > 80_000
     return file
