@@ -58,7 +58,8 @@ def chain(tmp_path_factory):
     """A small chain of good inputs and outputs, to break or to run again; nobody writes to it."""
     from tests.helpers.fuzz_cases import make_chain  # this imports all commands, which most tests do without
 
-    return made_once(tmp_path_factory, "chain", make_chain)
+    with verbosity_kept():  # it is made before the first file's messages are noted
+        return made_once(tmp_path_factory, "chain", make_chain)
 
 
 @pytest.fixture(scope="session")

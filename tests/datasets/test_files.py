@@ -5,12 +5,12 @@ import gzip
 import os
 import zipfile
 import zlib
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 import zstandard
 
-from turtlebag.datasets import files
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
     FileBytes,
@@ -38,15 +38,13 @@ def path(tmp_path):
     return file
 
 
-@pytest.fixture(params=[64, 1 << 20])
-def piece(request, monkeypatch):
-    """Windows smaller than the file, and larger."""
-    monkeypatch.setattr(files, "_PIECE", request.param)
+WINDOWS = pytest.mark.parametrize("piece", [64, 1 << 20])
+"""Smaller than the file, and larger."""
 
 
-@pytest.mark.usefixtures("piece")
-def test_the_bytes_of_a_file_are_those_of_a_bytes_object(path):
-    data, rng = FileBytes(path), np.random.default_rng(2)
+@WINDOWS
+def test_the_bytes_of_a_file_are_those_of_a_bytes_object(path, piece):
+    data, rng = FileBytes(path, piece), np.random.default_rng(2)
     assert len(data) == len(DATA)
     for a, b in rng.integers(-6000, 6000, (300, 2)).tolist():
         assert data[a:b] == DATA[a:b]
@@ -55,9 +53,9 @@ def test_the_bytes_of_a_file_are_those_of_a_bytes_object(path):
         assert data.crc32(stop) == zlib.crc32(DATA[:stop])
 
 
-@pytest.mark.usefixtures("piece")
-def test_a_part_is_found_where_it_begins_first_also_across_windows(path):
-    data = FileBytes(path)
+@WINDOWS
+def test_a_part_is_found_where_it_begins_first_also_across_windows(path, piece):
+    data = FileBytes(path, piece)
     for at in (0, 60, 62, 63, 64, 65, 127, 4990):
         part = DATA[at : at + 10]
         assert data.find(part, 0) == at
@@ -101,7 +99,7 @@ def test_what_is_no_plain_file_is_refused_and_its_descriptor_closed(tmp_path, pa
     assert read_whole(path) == DATA
 
 
-def test_signatures_are_of_plain_files_below_a_folder(tmp_path, monkeypatch):
+def test_signatures_are_of_plain_files_below_a_folder(tmp_path):
     (tmp_path / "deep").mkdir()
     for name in ("a", "deep/b"):
         (tmp_path / name).write_bytes(b"123")
@@ -112,11 +110,10 @@ def test_signatures_are_of_plain_files_below_a_folder(tmp_path, monkeypatch):
     wanted = (status.st_dev, status.st_ino, 3, status.st_mtime_ns)
     assert found[tmp_path / "a"] == wanted
     assert signatures(tmp_path / "a") == {tmp_path / "a": wanted}
-    monkeypatch.setattr(files, "_MOST_FILES", 2)
-    assert len(signatures(tmp_path)) == 2
+    assert len(signatures(tmp_path, most=2)) == 2
     (tmp_path / "c").touch()
     with pytest.raises(InputError, match="more than 2 files"):
-        signatures(tmp_path)
+        signatures(tmp_path, most=2)
     (tmp_path / "c").unlink()
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="pipe: is a pipe or a device"):
@@ -152,7 +149,6 @@ def test_the_chunks_of_a_file_are_bounded_together(path):
             count.add(1)
 
 
-@pytest.mark.usefixtures("piece")
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
 def test_packed_files_are_read_up_to_the_damage_stream_after_stream(tmp_path, pack):
     content = bytes(range(256)) * 40
@@ -178,32 +174,28 @@ def test_packed_files_are_read_up_to_the_damage_stream_after_stream(tmp_path, pa
     assert read_unpacked(path) == (DATA, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
-def test_what_unpacks_beyond_its_bound_is_refused_and_what_just_fits_is_not(tmp_path, monkeypatch, pack):
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 3 << 20)
-    monkeypatch.setattr(files, "GREATEST_RATIO", 1)
-    path = tmp_path / "log.gz"
-    path.write_bytes(pack(bytes(3 << 20)))
-    assert len(read_unpacked(path)[0]) == 3 << 20
-    path.write_bytes(pack(bytes((3 << 20) + 1)))
-    with pytest.raises(InputError, match="more than 3 MiB"):
+def test_what_unpacks_beyond_its_bound_is_refused_and_what_just_fits_is_not(tmp_path, pack):
+    path, eighth = tmp_path / "log.gz", pack(bytes(8 << 20))
+    path.write_bytes(eighth * 8)
+    assert len(read_unpacked(path)[0]) == 64 << 20
+    path.write_bytes(eighth * 8 + pack(b"0"))
+    with pytest.raises(InputError, match="more than 64 MiB"):
         read_unpacked(path)
 
 
-def test_zip_files_are_bounded_by_the_sum_of_their_members(tmp_path, monkeypatch):
+@pytest.mark.parametrize("more", [0, 1])
+def test_zip_files_are_bounded_by_the_sum_of_their_members(tmp_path, more):
     path = tmp_path / "a.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("a", bytes(600))
-        archive.writestr("b", bytes(400))
-    monkeypatch.setattr(files, "GREATEST_RATIO", 1)
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 1000)
-    require_bounded_zip(path)
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 999)
-    with pytest.raises(InputError, match="unpacks to more than"):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("a", bytes(40 << 20))
+        archive.writestr("b", bytes((24 << 20) + more))
+    with pytest.raises(InputError, match="unpacks to more than 64 MiB") if more else nullcontext():
         require_bounded_zip(path)
 
 
-def test_zstd_is_unpacked_within_its_bound(tmp_path, monkeypatch):
+def test_zstd_is_unpacked_within_its_bound():
     content = bytes(200_000)
     packed = zstandard.ZstdCompressor().compress(content)
     assert unpack_zstd(packed, 200_000) == content
@@ -212,13 +204,16 @@ def test_zstd_is_unpacked_within_its_bound(tmp_path, monkeypatch):
     for damaged in (b"\0" + packed[1:], packed[:-5], packed[:5], b""):
         with pytest.raises(ValueError, match="damaged zstd"):
             unpack_zstd(damaged, 10**6)
+
+
+def test_a_zstd_file_is_unpacked_within_its_bound(tmp_path):
     source, target = tmp_path / "a.zst", tmp_path / "a"
+    content = bytes(64 << 20)
+    packed = zstandard.ZstdCompressor(level=1).compress(content)
     source.write_bytes(packed)
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 200_000)
-    monkeypatch.setattr(files, "GREATEST_RATIO", 1)
     unpack_zstd_file(source, target)
     assert target.read_bytes() == content
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 199_999)
+    source.write_bytes(zstandard.ZstdCompressor(level=1).compress(content + b"0"))
     with pytest.raises(InputError, match="unpacks to more than"):
         unpack_zstd_file(source, target)
     source.write_bytes(b"\0" + packed[1:])

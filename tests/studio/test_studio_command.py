@@ -1,20 +1,20 @@
-"""`turtlebag studio` as a process, with the real simulator: the tutorial over the socket alone."""
+"""`turtlebag studio` as a command, with the real simulator: the tutorial over the socket alone."""
 
+import io
 import re
 import signal
 import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import yaml
 
 from tests.studio.fakes import connect, run
 from tests.studio.walk import differences, files
-from turtlebag.pipeline.cli import studio as command
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.studio.session import Session
 
 pytestmark = pytest.mark.slow
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}\n")
@@ -123,20 +123,62 @@ def test_a_termination_ends_the_session_and_tells_its_viewers(tmp_path):
     assert (tmp_path / "mine/bags/open/metadata.yaml").exists()
 
 
-def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path, monkeypatch, capsys):
-    async def end(url):
+class Printed(io.StringIO):
+    """Standard output, and someone who opens the page that is printed there and ends the session."""
+
+    def __init__(self):
+        super().__init__()
+        self.ended = []
+        self._threads = ThreadPoolExecutor()
+
+    def write(self, text):
+        if text.startswith("http"):
+            self.ended.append(self._threads.submit(run, self._end(text.strip())))
+        return super().write(text)
+
+    async def _end(self, url):
         client = await connect(url)
         client.ask("end")
         with pytest.raises(EOFError, match="the session has ended"):
             await client.until(lambda p: False)
         return url
 
-    with ThreadPoolExecutor() as threads:
-        page = []
-        monkeypatch.setattr(command, "_open_browser", lambda url: page.append(threads.submit(run, end(url))))
-        assert main(["studio", "--world", "empty", "--out", str(tmp_path / "mine"), "-q"]) == 0
-        assert capsys.readouterr() == (f"{page[0].result()}\n", "")
+
+@pytest.fixture
+def opened(monkeypatch):
+    """What a browser was opened with, where there is no screen."""
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    return opened
+
+
+def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path, monkeypatch, capsys, opened):
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(sys, "stdout", printed := Printed())
+    assert main(["studio", "--world", "empty", "--out", str(tmp_path / "mine"), "-q"]) == 0
+    (ended,) = printed.ended
+    assert printed.getvalue() == f"{ended.result()}\n"
+    assert capsys.readouterr().err == ""
+    assert opened == [ended.result()]
     assert (tmp_path / "mine/manifest.json").exists()
+
+
+def test_without_a_screen_no_browser_is_opened_and_the_first_free_folder_is_taken(
+    tmp_path, monkeypatch, capsys, opened
+):
+    """On an address of the whole machine, which is said to be for everybody."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data/studio/maze_1-waffle_pi-4").mkdir(parents=True)
+    (tmp_path / "data/studio/maze_1-waffle_pi-4-2.partial").mkdir()
+    words = ("--world", "maze:1", "--robot", "waffle_pi", "--seed", "4", "--host", "0.0.0.0")
+    monkeypatch.setattr(sys, "stdout", Printed())
+    assert main(["studio", *words]) == 0
+    assert opened == []
+    assert (tmp_path / "data/studio/maze_1-waffle_pi-4-3/manifest.json").exists()
+    assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -167,49 +209,30 @@ def test_what_cannot_be_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, ca
 
 
 def test_a_session_that_cannot_go_on_keeps_what_it_has(tmp_path, monkeypatch, capsys):
-    ticks = []
+    """The disk is full after a second, when the session file is next written to, and then has room again."""
+    written = []
 
-    def tick(self):
-        ticks.append(1)
-        if len(ticks) > 20:
-            raise OSError(28, "No space left on device", "somewhere")
-        inner(self)
+    class Full:
+        def __init__(self, file):
+            self._file = file
 
-    inner = Session.tick
-    monkeypatch.setattr(Session, "tick", tick)
+        def write(self, text):
+            written.append(text)
+            if len(written) == 2:
+                raise OSError(28, "No space left on device", "somewhere")
+            return self._file.write(text)
+
+        def __getattr__(self, name):
+            return getattr(self._file, name)
+
+    def on_a_full_disk(path, *args, **options):
+        file = inner(path, *args, **options)
+        return Full(file) if path.name == ".session.yaml" else file
+
+    inner = Path.open
+    monkeypatch.setattr(Path, "open", on_a_full_disk)
     assert main(["studio", "--no-browser", "--world", "empty", "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr().err.splitlines()
     assert told[-1] == "turtlebag: somewhere: No space left on device"
     assert (tmp_path / "out/manifest.json").exists()
     assert len((tmp_path / "out/runlog.csv").read_text().splitlines()) > 2
-
-
-def test_another_address_than_this_machine_s_own_says_what_that_means(tmp_path, monkeypatch, capsys):
-    def tick(self):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Session, "tick", tick)
-    options = ["--no-browser", "--world", "empty", "--host", "0.0.0.0", "--out", str(tmp_path / "out")]
-    assert main(["studio", *options]) == 2
-    assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
-
-
-def test_the_first_free_folder_is_taken(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    free = command._free_folder
-    assert str(free(("maze:1", "waffle_pi", "4"))) == "data/studio/maze_1-waffle_pi-4"
-    (tmp_path / "data/studio/maze_1-waffle_pi-4").mkdir(parents=True)
-    (tmp_path / "data/studio/maze_1-waffle_pi-4-2.partial").mkdir()
-    assert str(free(("maze:1", "waffle_pi", "4"))) == "data/studio/maze_1-waffle_pi-4-3"
-
-
-def test_a_browser_is_opened_only_where_there_is_a_screen(monkeypatch):
-    opened = []
-    monkeypatch.setattr("webbrowser.open", opened.append)
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
-    command._open_browser("http://one")
-    monkeypatch.setenv("DISPLAY", ":0")
-    command._open_browser("http://two")
-    assert opened == ["http://two"]
