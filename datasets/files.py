@@ -31,7 +31,6 @@ CHUNK_BYTES = 1 << 30
 JUNK = (".DS_Store", "Thumbs.db")
 """Files that file managers leave in folders that somebody looks at: nobody's input and nobody's output."""
 _PIECE = 1 << 20
-_MOST_FILES = 100_000
 
 
 def sha256_file(path: Path) -> str:
@@ -44,10 +43,11 @@ Signature = tuple[int, int, int, int]
 """What changes when a file is written to or replaced: device, inode, size and time of change [ns]."""
 
 
-def signatures(path: Path) -> dict[Path, Signature]:
+def signatures(path: Path, most: int = 100_000) -> dict[Path, Signature]:
     """Signature of a file, or of every file below a folder.
 
-    InputError for a pipe or a device, which a reader would wait for, and for a folder of too many files.
+    InputError for a pipe or a device, which a reader would wait for, and for a folder of more than `most`
+    files.
     """
     found = {}
     below = (Path(place, name) for place, _, names in os.walk(path) for name in names if name not in JUNK)
@@ -60,8 +60,8 @@ def signatures(path: Path) -> dict[Path, Signature]:
             found[file] = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
         elif not (stat.S_ISDIR(status.st_mode) or stat.S_ISSOCK(status.st_mode)):
             raise InputError(f"{file}: is a pipe or a device; give a plain file")
-        if len(found) > _MOST_FILES:
-            raise InputError(f"{path}: contains more than {_MOST_FILES} files; name the right folder")
+        if len(found) > most:
+            raise InputError(f"{path}: contains more than {most} files; name the right folder")
     return found
 
 

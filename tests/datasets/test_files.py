@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import zstandard
 
-from turtlebag.datasets import files
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
+    HARMLESS_BYTES,
     FileBytes,
     Unpacked,
     bound_of,
@@ -29,6 +29,9 @@ from turtlebag.datasets.files import (
 )
 
 DATA = np.random.default_rng(1).integers(0, 256, 5000).astype(np.uint8).tobytes()
+LARGE = np.random.default_rng(3).integers(0, 256, 5 << 19).astype(np.uint8).tobytes()
+"""Of several windows of a reader, a MiB each."""
+MIB = bytes(1 << 20)
 
 
 @pytest.fixture
@@ -38,33 +41,30 @@ def path(tmp_path):
     return file
 
 
-@pytest.fixture(params=[64, 1 << 20])
-def piece(request, monkeypatch):
-    """Windows smaller than the file, and larger."""
-    monkeypatch.setattr(files, "_PIECE", request.param)
+@pytest.mark.parametrize("content", [DATA, LARGE])
+def test_the_bytes_of_a_file_are_those_of_a_bytes_object(path, content):
+    path.write_bytes(content)
+    data, rng, size = FileBytes(path), np.random.default_rng(2), len(content)
+    assert len(data) == size
+    for a, b in rng.integers(-size - 1000, size + 1000, (300, 2)).tolist():
+        assert data[a:b] == content[a:b]
+    assert (data[:7], data[-7:], data[:]) == (content[:7], content[-7:], content)
+    for stop in (0, 1, size // 2, 1 << 20, 2 << 20, (2 << 20) + 1, size):
+        assert data.crc32(min(stop, size)) == zlib.crc32(content[:stop])
 
 
-@pytest.mark.usefixtures("piece")
-def test_the_bytes_of_a_file_are_those_of_a_bytes_object(path):
-    data, rng = FileBytes(path), np.random.default_rng(2)
-    assert len(data) == len(DATA)
-    for a, b in rng.integers(-6000, 6000, (300, 2)).tolist():
-        assert data[a:b] == DATA[a:b]
-    assert (data[:7], data[-7:], data[:]) == (DATA[:7], DATA[-7:], DATA)
-    for stop in (0, 1, 64, 128, 129, 5000):
-        assert data.crc32(stop) == zlib.crc32(DATA[:stop])
-
-
-@pytest.mark.usefixtures("piece")
-def test_a_part_is_found_where_it_begins_first_also_across_windows(path):
-    data = FileBytes(path)
-    for at in (0, 60, 62, 63, 64, 65, 127, 4990):
-        part = DATA[at : at + 10]
-        assert data.find(part, 0) == at
-        assert data.find(part, at) == at
-        assert data.find(part, at + 1) == DATA.find(part, at + 1)
+@pytest.mark.parametrize("content", [DATA, LARGE])
+def test_a_part_is_found_where_it_begins_first_also_across_windows(path, content):
+    path.write_bytes(content)
+    data, edge = FileBytes(path), 1 << 20
+    for at in (0, 60, 4990, edge - 10, edge - 9, edge - 1, edge, 2 * edge - 5, len(content) - 10):
+        part = content[at : at + 10]
+        if len(part) == 10:
+            assert data.find(part, 0) == at
+            assert data.find(part, at) == at
+            assert data.find(part, at + 1) == content.find(part, at + 1)
     assert data.find(b"\0" * 40, 0) == -1
-    assert data.find(DATA[:1], 5000) == -1
+    assert data.find(content[:1], len(content)) == -1
 
 
 def test_a_file_that_is_cut_replaced_or_written_to_is_an_input_error(path):
@@ -101,7 +101,7 @@ def test_what_is_no_plain_file_is_refused_and_its_descriptor_closed(tmp_path, pa
     assert read_whole(path) == DATA
 
 
-def test_signatures_are_of_plain_files_below_a_folder(tmp_path, monkeypatch):
+def test_signatures_are_of_plain_files_below_a_folder(tmp_path):
     (tmp_path / "deep").mkdir()
     for name in ("a", "deep/b"):
         (tmp_path / name).write_bytes(b"123")
@@ -112,11 +112,10 @@ def test_signatures_are_of_plain_files_below_a_folder(tmp_path, monkeypatch):
     wanted = (status.st_dev, status.st_ino, 3, status.st_mtime_ns)
     assert found[tmp_path / "a"] == wanted
     assert signatures(tmp_path / "a") == {tmp_path / "a": wanted}
-    monkeypatch.setattr(files, "_MOST_FILES", 2)
-    assert len(signatures(tmp_path)) == 2
+    assert len(signatures(tmp_path, most=2)) == 2
     (tmp_path / "c").touch()
     with pytest.raises(InputError, match="more than 2 files"):
-        signatures(tmp_path)
+        signatures(tmp_path, most=2)
     (tmp_path / "c").unlink()
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="pipe: is a pipe or a device"):
@@ -152,7 +151,6 @@ def test_the_chunks_of_a_file_are_bounded_together(path):
             count.add(1)
 
 
-@pytest.mark.usefixtures("piece")
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
 def test_packed_files_are_read_up_to_the_damage_stream_after_stream(tmp_path, pack):
     content = bytes(range(256)) * 40
@@ -179,31 +177,28 @@ def test_packed_files_are_read_up_to_the_damage_stream_after_stream(tmp_path, pa
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
-def test_what_unpacks_beyond_its_bound_is_refused_and_what_just_fits_is_not(tmp_path, monkeypatch, pack):
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 3 << 20)
-    monkeypatch.setattr(files, "GREATEST_RATIO", 1)
+def test_what_unpacks_beyond_its_bound_is_refused_and_what_just_fits_is_not(tmp_path, pack):
     path = tmp_path / "log.gz"
-    path.write_bytes(pack(bytes(3 << 20)))
-    assert len(read_unpacked(path)[0]) == 3 << 20
-    path.write_bytes(pack(bytes((3 << 20) + 1)))
-    with pytest.raises(InputError, match="more than 3 MiB"):
+    path.write_bytes(pack(MIB) * 64)
+    assert len(read_unpacked(path)[0]) == HARMLESS_BYTES
+    path.write_bytes(pack(MIB) * 64 + pack(b"1"))
+    with pytest.raises(InputError, match="more than 64 MiB"):
         read_unpacked(path)
 
 
-def test_zip_files_are_bounded_by_the_sum_of_their_members(tmp_path, monkeypatch):
+def test_zip_files_are_bounded_by_the_sum_of_their_members(tmp_path):
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("a", bytes(600))
-        archive.writestr("b", bytes(400))
-    monkeypatch.setattr(files, "GREATEST_RATIO", 1)
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 1000)
+        for number in range(64):
+            archive.writestr(f"{number}", MIB)
     require_bounded_zip(path)
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 999)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("more", b"1")
     with pytest.raises(InputError, match="unpacks to more than"):
         require_bounded_zip(path)
 
 
-def test_zstd_is_unpacked_within_its_bound(tmp_path, monkeypatch):
+def test_zstd_is_unpacked_within_its_bound(tmp_path):
     content = bytes(200_000)
     packed = zstandard.ZstdCompressor().compress(content)
     assert unpack_zstd(packed, 200_000) == content
@@ -213,12 +208,10 @@ def test_zstd_is_unpacked_within_its_bound(tmp_path, monkeypatch):
         with pytest.raises(ValueError, match="damaged zstd"):
             unpack_zstd(damaged, 10**6)
     source, target = tmp_path / "a.zst", tmp_path / "a"
-    source.write_bytes(packed)
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 200_000)
-    monkeypatch.setattr(files, "GREATEST_RATIO", 1)
+    source.write_bytes(zstandard.compress(MIB * 64))
     unpack_zstd_file(source, target)
-    assert target.read_bytes() == content
-    monkeypatch.setattr(files, "HARMLESS_BYTES", 199_999)
+    assert target.read_bytes() == MIB * 64
+    source.write_bytes(zstandard.compress(MIB * 64 + b"1"))
     with pytest.raises(InputError, match="unpacks to more than"):
         unpack_zstd_file(source, target)
     source.write_bytes(b"\0" + packed[1:])

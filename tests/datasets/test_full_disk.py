@@ -87,7 +87,7 @@ def test_recordings_on_a_full_disk_are_kept_each_under_its_own_name(chain, tmp_p
         assert said == (
             f"turtlebag: {tmp_path / 'avoid'}: File too large; "
             f"what was recorded is kept in {tmp_path / name} "
-            f"(`turtlebag bag recover {tmp_path / name} --out DIR` makes a whole bag of it)\n"
+            f"(`turtlebag bag recover {tmp_path / name} --out DIR` makes a finished output of it)\n"
         )
     assert {path.name for path in tmp_path.iterdir()} == {"avoid.unfinished", "avoid.unfinished-2"}
 

@@ -1,13 +1,13 @@
 """Recordings that change while they are read: one line, and no output of the mixture."""
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
 import turtlebag.pipeline.stages.sources
 from tests.helpers.bag_samples import write_drive
-from turtlebag.datasets import files
 from turtlebag.datasets.bags import convert
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
@@ -16,17 +16,21 @@ from turtlebag.datasets.files import FileBytes
 from turtlebag.pipeline.cli.main import main
 
 
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """Bag files of more than what is read of them at once, a MiB."""
+    folder = tmp_path_factory.mktemp("bags")
+    write_drive(folder / "drive", seconds=80.0)
+    shutil.copy(folder / "drive/bag_0.mcap", folder)
+    convert.to_ros1_bag(folder / "drive", folder / "a.bag")
+    assert all((folder / name).stat().st_size > 5 << 18 for name in ("bag_0.mcap", "a.bag"))
+    return folder
+
+
 @pytest.fixture(params=["bag_0.mcap", "a.bag"])
-def bag(request, tmp_path, monkeypatch):
-    """A bag file of several reads."""
-    monkeypatch.setattr(files, "_PIECE", 10_000)
-    write_drive(tmp_path / "drive", seconds=5.0)
-    file = tmp_path / "drive" / "bag_0.mcap"
-    if request.param == "a.bag":
-        convert.to_ros1_bag(file, tmp_path / "a.bag")
-        file = tmp_path / "a.bag"
-    assert file.stat().st_size > 80_000
-    return file
+def bag(request, bags, tmp_path):
+    """A copy of one, to change."""
+    return shutil.copy(bags / request.param, tmp_path / request.param)
 
 
 def cut(path):

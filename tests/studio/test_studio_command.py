@@ -1,20 +1,22 @@
 """`turtlebag studio` as a process, with the real simulator: the tutorial over the socket alone."""
 
+import os
 import re
 import signal
 import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from threading import Timer
 
 import pytest
 import yaml
 
+from tests.helpers.full_disks import files_below
 from tests.studio.fakes import connect, run
 from tests.studio.walk import differences, files
-from turtlebag.pipeline.cli import studio as command
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.journal import load_session
 
 pytestmark = pytest.mark.slow
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}\n")
@@ -133,7 +135,8 @@ def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path, monkeypatch,
 
     with ThreadPoolExecutor() as threads:
         page = []
-        monkeypatch.setattr(command, "_open_browser", lambda url: page.append(threads.submit(run, end(url))))
+        monkeypatch.setenv("DISPLAY", ":0")
+        monkeypatch.setattr("webbrowser.open", lambda url: page.append(threads.submit(run, end(url))))
         assert main(["studio", "--world", "empty", "--out", str(tmp_path / "mine"), "-q"]) == 0
         assert capsys.readouterr() == (f"{page[0].result()}\n", "")
     assert (tmp_path / "mine/manifest.json").exists()
@@ -166,50 +169,43 @@ def test_what_cannot_be_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, ca
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_session_that_cannot_go_on_keeps_what_it_has(tmp_path, monkeypatch, capsys):
-    ticks = []
-
-    def tick(self):
-        ticks.append(1)
-        if len(ticks) > 20:
-            raise OSError(28, "No space left on device", "somewhere")
-        inner(self)
-
-    inner = Session.tick
-    monkeypatch.setattr(Session, "tick", tick)
-    assert main(["studio", "--no-browser", "--world", "empty", "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert told[-1] == "turtlebag: somewhere: No space left on device"
-    assert (tmp_path / "out/manifest.json").exists()
-    assert len((tmp_path / "out/runlog.csv").read_text().splitlines()) > 2
+def test_a_session_that_cannot_go_on_is_kept_beside_the_first_free_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    usual = "data/studio/empty-burger-1"
+    for name in (usual, f"{usual}-2.partial", f"{usual}-3.unfinished"):
+        (tmp_path / name).mkdir(parents=True)
+    with files_below(3_000):
+        assert main(["studio", "--world", "empty", "--no-browser"]) == 1
+    aside = f"{usual}-3.unfinished-2"
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"turtlebag: {usual}-3: File too large; what was recorded is kept in {aside} "
+        f"(`turtlebag studio --replay {aside}/session.yaml --out DIR` makes a finished output of it)"
+    )
+    assert load_session(tmp_path / aside / "session.yaml").until_ns > 2e9
 
 
-def test_another_address_than_this_machine_s_own_says_what_that_means(tmp_path, monkeypatch, capsys):
-    def tick(self):
-        raise OSError(28, "No space left on device")
+def interrupted_after(seconds, *options):
+    """A session that Ctrl-C ends."""
+    timer = Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    assert main(["studio", "--world", "empty", *options]) == 130
+    timer.join()
 
-    monkeypatch.setattr(Session, "tick", tick)
-    options = ["--no-browser", "--world", "empty", "--host", "0.0.0.0", "--out", str(tmp_path / "out")]
-    assert main(["studio", *options]) == 2
+
+def test_another_address_than_this_machine_s_own_says_what_that_means(tmp_path, capsys):
+    interrupted_after(1.5, "--no-browser", "--host", "0.0.0.0", "--out", str(tmp_path / "out"))
     assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
 
 
-def test_the_first_free_folder_is_taken(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    free = command._free_folder
-    assert str(free(("maze:1", "waffle_pi", "4"))) == "data/studio/maze_1-waffle_pi-4"
-    (tmp_path / "data/studio/maze_1-waffle_pi-4").mkdir(parents=True)
-    (tmp_path / "data/studio/maze_1-waffle_pi-4-2.partial").mkdir()
-    assert str(free(("maze:1", "waffle_pi", "4"))) == "data/studio/maze_1-waffle_pi-4-3"
-
-
-def test_a_browser_is_opened_only_where_there_is_a_screen(monkeypatch):
+def test_a_browser_is_opened_only_where_there_is_a_screen(tmp_path, monkeypatch, capsys):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.chdir(tmp_path)
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
-    command._open_browser("http://one")
+    interrupted_after(1.5)
+    assert opened == []
+    capsys.readouterr()
     monkeypatch.setenv("DISPLAY", ":0")
-    command._open_browser("http://two")
-    assert opened == ["http://two"]
+    interrupted_after(1.5)
+    assert opened == [capsys.readouterr().out.strip()]
