@@ -2,8 +2,8 @@
 
 python -m benchmarks.plan [--quick] [--queries N] [--out DIR]
 
-Planned is for a disc that holds the footprint (`disc`, the default), and for the footprint itself in SE(2),
-Reeds-Shepp and Dubins spaces. Length is over that of the truly shortest collision-free way of the footprint
+Planned is for a disc that holds the footprint (`disc`, the default), and for the footprint itself in SE(2).
+Length is over that of the truly shortest collision-free way of the footprint
 (plan_shortest). Time is CPU time of one query, costmap ready. Every path found is checked anew, pose by
 pose. The Intel map is made by `turtlebag map` from TURTLEBAG_DATA/radish/intel.clf.bz2, and left out
 without it. `solved` is what the planner itself found, `answered` counts the last resorts of the product
@@ -35,7 +35,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_free, path_clearance, sample_footprint
 from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, plan_path
-from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName, Space
+from turtlebag.planners.ompl_planner import OmplConfig, PlannerName, Space
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import densify
 from turtlebag.sim.robots import RobotSpec, load_robot
@@ -51,7 +51,6 @@ MAPS = (
     ("office:1", "waffle_pi"),
 )
 POSE_MAPS = tuple(PLACES.values())
-SPACES: tuple[Space, ...] = ("se2", "reeds_shepp", "dubins")
 LEAST_APART_M = 1.0
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
 """Unsolvable queries, and the gap in footprints' widths."""
@@ -233,14 +232,13 @@ def suites(args: Namespace) -> dict[str, Suite]:
     there = [m for m in (MAPS[:2] if quick else MAPS) if m[0] != "intel" or public_log("intel")]
     plans, refusals = [], []
     for map, robot in there:
-        turning = SPACES if (map, robot) in (POSE_MAPS[:1] if quick else POSE_MAPS) else ()
-        for space in ("disc", *turning):
+        oriented = ("se2",) if (map, robot) in (POSE_MAPS[:1] if quick else POSE_MAPS) else ()
+        for space in ("disc", *oriented):
             few = ["BITstar", "RRTConnect", "PRM"] if space == "disc" else ["RRTConnect"]
-            bound = [planner for planner in get_args(PlannerName) if (planner, space) not in IMPOSSIBLE]
             count = queries if space == "disc" else 2 if quick else max(4, queries // 2)
             about = {"map": (map,), "robot": (robot,), "space": (space,), "query": range(count)}
             measure = partial(plan_row, count=queries, out=out)
-            plans += every(measure, **about, planner=few if quick else bound)
+            plans += every(measure, **about, planner=few if quick else get_args(PlannerName))
         shut = partial(refusal_row, count=queries, out=out)
         refusals += every(shut, map=(map,), robot=(robot,), goals=REFUSED)
     return {

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-LONGEST_S = 1e6
-"""Far beyond any run; what is longer could not be counted in nanoseconds."""
+LONGEST_S = 86_400.0
+"""A day: nothing is simulated for longer, however many inputs there are."""
 
 Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
 

@@ -9,3 +9,8 @@ def counted(count: int, noun: str) -> str:
 def one(noun: str) -> str:
     """`a Scan`, `an int`."""
     return f"{'an' if noun[0] in 'aeiouAEIOU' else 'a'} {noun}"
+
+
+def verb(count: int, one: str, several: str) -> str:
+    """The form of a verb for so many things."""
+    return one if count == 1 else several

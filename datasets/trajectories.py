@@ -126,9 +126,7 @@ class NumberLines:
 
 
 TUM_LINE = "'t x y z qx qy qz qw'"
-W_FIRST = (
-    f"its quaternions have w first, as it seems: the robot rolls over and never turns; expected {TUM_LINE}"
-)
+W_FIRST = f"its quaternions have w first, as it seems (they roll and never turn); expected {TUM_LINE}"
 LEVEL = 0.02
 """Sine of half the angle by which a body may pitch and yaw, and still only rolls: 2.3 degrees."""
 ROLL_RAD = 1.0

@@ -27,6 +27,7 @@ MOST_VALUES = 1_000_000
 ONE_VALUE = 10_000
 """Characters of a text that count as one value, so that aliases cannot repeat a long one without bound."""
 MOST_BYTES = 64 << 20
+MOST_DOCUMENTS = 10_000
 KINDS = {
     **dict.fromkeys(("tuple_type", "list_type"), "expected a list"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "expected keys and values"),
@@ -59,11 +60,16 @@ def read_yaml(path: Path, *, where: str) -> Any:
 
 def read_documents(path: Path, *, where: str) -> list[Any]:
     """The documents of a YAML file, without empty ones: `ros2 topic echo` parts its messages by `---`."""
+    parts = re.split(r"(?m)^---[ \t]*$", _text(path, where))
+    if len(parts) > MOST_DOCUMENTS:
+        raise InputError(f"{where}: more than {MOST_DOCUMENTS} documents")
     found: list[Any] = []
-    lines_above = 0
-    for part in re.split(r"(?m)^---[ \t]*$", _text(path, where)):
-        found.append(parsed("\n" * lines_above + part, where=where))
-        lines_above += part.count("\n")
+    for number, part in enumerate(parts):
+        try:
+            found.append(parsed(part, where=where))
+        except InputError:  # the same once more, with the file's numbers of the lines
+            parsed("\n" * sum(above.count("\n") for above in parts[:number]) + part, where=where)
+            raise
     return [document for document in found if document is not None]
 
 

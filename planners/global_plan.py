@@ -26,7 +26,7 @@ from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, OmplConfig, solve
-from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
+from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 
@@ -40,7 +40,7 @@ INFORMED = 1.1
 """OMPL searches only floor on some way at most this much longer than the shortest over the cells: without
 it RRTConnect's are 2.5 % longer on average, one 78 % (48 plans on eight maps)."""
 POSE_RUNS = 12
-"""New seeds for a path of poses that is not found: of 12 with Dubins curves 8 are found, 7 with one."""
+"""New seeds for a path of poses that is not found. Not measured."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
@@ -54,10 +54,10 @@ class PlanConfig(Settings, allow_inf_nan=False):
     """`ompl`, or your own class."""
     ompl: OmplConfig = OmplConfig()
     margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
-        default=(0.10, 0.07, 0.04, 0.0), min_length=1
+        default=(0.10, 0.07, 0.04, 0.0), min_length=1, max_length=20
     )
     """Margins around the circumscribed circle, tried in this order; the last one only if needed."""
-    stretch: float = Field(default=1.05, ge=1.0)
+    stretch: float = Field(default=1.05, ge=1.0, le=10.0)
     """Longest path for the sake of a wider margin, relative to the shortest one with the last margin."""
     inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
     """Distance from the disc within which obstacles push the path away."""
@@ -79,14 +79,12 @@ def plan_path(
 ) -> Plan:
     """A collision-free path for the footprint by the planner of the settings; raises NoPath with the reason.
 
-    InputError where that is the user's own and not to be had, or gives back something else.
+    InputError where that is the user's own and not to be had.
     """
     if not fits(costmap, model, T_map_goal):
         raise NoPath("the goal is in an obstacle or off the map")
     planner: GlobalPlanner = chosen(config.planner, {"ompl": OmplPlanner}, GlobalPlanner)(config)
-    plan = planner.plan(costmap, model, T_map_start, T_map_goal, seed)
-    require_plan(planner, plan)
-    return plan
+    return planner.plan(costmap, model, T_map_start, T_map_goal, seed)
 
 
 class OmplPlanner:
@@ -214,10 +212,9 @@ def _plan_poses(
         poses = solve_poses(costmap, footprint, start, goal, config.ompl, seed + run)
         if poses is not None:
             return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name)
-    if config.ompl.space == "se2":  # the one space in which turns on the spot are ways
-        oriented = _oriented_plan(costmap, model, start, goal, config)
-        if oriented is not None:
-            return oriented
+    oriented = _oriented_plan(costmap, model, start, goal, config)
+    if oriented is not None:
+        return oriented
     raise NoPath(f"{config.ompl.name} found no path within its iterations")
 
 

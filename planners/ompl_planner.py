@@ -6,12 +6,13 @@ a call's result depends on its arguments alone.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
@@ -19,13 +20,6 @@ from turtlebag.planners.footprint import Field32, disc_segment_free
 from turtlebag.planners.planner_names import PlannerName
 
 ROADMAPS = ("PRM", "PRMstar")
-IMPOSSIBLE = {
-    ("AORRTC", "dubins"): "crashes",
-    # Its batches of better states are found by rejection sampling, which no termination condition ends.
-    ("SORRTstar", "reeds_shepp"): "may never terminate",
-    ("SORRTstar", "dubins"): "may never terminate",
-}
-"""Planners that do not work in a space (OMPL 2.0.1)."""
 GOOD_ENOUGH = 1.02
 """Ratio to the length of the tightened grid path, or of the straight line between two poses, at which OMPL
 may stop."""
@@ -34,26 +28,28 @@ RANGE_M = 1.5
 shortest instead of 1.05."""
 
 
-Space = Literal["disc", "se2", "reeds_shepp", "dubins"]
+Space = Literal["disc", "se2"]
+REMOVED_SPACES = ("reeds_shepp", "dubins")
+"""For robots that cannot turn on the spot: there are none here."""
 
 
 class OmplConfig(Settings, allow_inf_nan=False):
     """The OMPL planner and its budget."""
 
+    REMOVED: ClassVar[Mapping[str, str]] = {"turning_radius": "robots here turn on the spot"}
     planner: PlannerName | None = None
     """None: BITstar for a disc, RRTConnect elsewhere."""
     space: Space = "disc"
-    """`disc` plans for the disc around the footprint; the others for the footprint itself, with heading."""
-    turning_radius: float = Field(default=0.3, gt=0.0, le=100.0)
-    """Minimum turning radius in reeds_shepp and dubins [m]."""
+    """`disc` plans for the disc around the footprint, `se2` for the footprint itself, with heading."""
     iterations: int = Field(default=4000, gt=0, le=1_000_000)
     """Budget in calls of the planner's termination condition: reproducible, unlike seconds."""
 
-    @model_validator(mode="after")
-    def _check(self) -> OmplConfig:
-        if why := IMPOSSIBLE.get((self.name, self.space)):
-            raise ValueError(f"{self.name} {why} in the {self.space} space: choose another planner or space")
-        return self
+    @field_validator("space", mode="before")
+    @classmethod
+    def _still_there(cls, space: Any) -> Any:
+        if space in REMOVED_SPACES:
+            raise ValueError(f"{space} is gone; se2 plans for the footprint with its heading")
+        return space
 
     @property
     def name(self) -> PlannerName:

@@ -1,4 +1,4 @@
-"""Planning with the whole footprint in position and heading: OMPL's SE2, Reeds-Shepp and Dubins spaces."""
+"""Planning with the whole footprint in position and heading: OMPL's SE2 space."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ def solve_poses(
     """Poses (n,) of an exact, shortened path in the grid frame, or None within the budget.
 
     `footprint` (n, 2) is the robot's polygon in the base frame.
-    In Reeds-Shepp and Dubins spaces curves have the radius `config.turning_radius` at least.
     """
     from ompl import base as ob
     from ompl import geometric as og
@@ -42,7 +41,7 @@ def solve_poses(
 
     ou.noOutputHandler()
     ou.RNG.setSeed(seed % (2**32 - 1) + 1)
-    space = _space(ob, config)
+    space = ob.SE2StateSpace()
     bounds = ob.RealVectorBounds(2)
     for axis, extent in enumerate(costmap.size):
         bounds.setLow(axis, 0.0)
@@ -64,18 +63,10 @@ def solve_poses(
         return None
     og.PathSimplifier(info).simplify(path, iteration_limit(SIMPLIFY_CALLS))
     path.interpolate(max(2, round(path.length() / SPACING_M) + 1))
-    # The planners that grow from the goal, too, check a Dubins curve in the wrong direction.
+    # OMPL checks motions at steps of its own.
     if not all(fits(state) for state in path.getStates()):
         return None
     return SE2.from_array(np.array([[s.getX(), s.getY(), s.getYaw()] for s in path.getStates()]))
-
-
-def _space(ob: Any, config: OmplConfig) -> Any:
-    if config.space == "reeds_shepp":
-        return ob.ReedsSheppStateSpace(config.turning_radius)
-    if config.space == "dubins":
-        return ob.DubinsStateSpace(config.turning_radius)
-    return ob.SE2StateSpace()
 
 
 def _state(space: Any, pose: SE2) -> Any:

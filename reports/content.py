@@ -44,6 +44,8 @@ class Part:
     pictures: list[Picture]
     goals: list[Mapping[str, Any]]
     planners: list[Mapping[str, Any]]
+    findings: list[Mapping[str, Any]]
+    """What is wrong with the recording that the stage read."""
 
     @property
     def believed(self) -> bool:
@@ -116,6 +118,7 @@ def build_chapter(
                 draw(stage, group, album),
                 goal_rows(metrics),
                 metrics.get("planners") or [],
+                stage.metrics.get("findings") or [],
             )
         )
     return chapter

@@ -14,7 +14,9 @@ from turtlebag.datasets.settings import Finite, NonNegative, Settings
 from turtlebag.datasets.types import Imu, Scan, Twist
 from turtlebag.sim.robots import CONTROL_HZ
 
-Spans = Annotated[tuple[tuple[NonNegative, NonNegative], ...], Field(description="[start, end] for each")]
+Spans = Annotated[
+    tuple[tuple[NonNegative, NonNegative], ...], Field(max_length=1000, description="[start, end] for each")
+]
 Share = Annotated[float, Field(ge=0.0, le=0.95)]
 
 
@@ -23,7 +25,7 @@ class FaultConfig(Settings):
 
     command_delay: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
     """From a command until it reaches the motors."""
-    scan_delay: NonNegative = 0.0
+    scan_delay: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
     """From the end of a sweep to its delivery; its stamp stays correct."""
     scan_loss: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Share of whole scans that never arrive."""
@@ -32,12 +34,12 @@ class FaultConfig(Settings):
     imu_silent: Spans = ()
     slip: Annotated[
         tuple[tuple[NonNegative, NonNegative, Share, Share], ...],
-        Field(description="[start, end, left share, right share] for each"),
+        Field(max_length=1000, description="[start, end, left share, right share] for each"),
     ] = ()
     """Start, end, and the shares of the left and right wheel's rotation lost to slip."""
     kidnap: Annotated[
         tuple[tuple[NonNegative, Finite, Finite, Finite], ...],
-        Field(description="[seconds, x, y, yaw] for each"),
+        Field(max_length=1000, description="[seconds, x, y, yaw] for each"),
     ] = ()
     """Time, and the true x, y, yaw where the robot is put down; the odometry does not notice."""
 

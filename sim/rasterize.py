@@ -67,7 +67,7 @@ def _filled_cells(grid: OccupancyGrid, solids: Sequence[Solid], z: float) -> Boo
         high = max(AT_ONCE // wide, 1)
         for low in range(row, end_row + 1, high):
             part = np.s_[low : min(low + high, end_row + 1), col : end_col + 1]
-            centres = grid.center_of(np.stack(np.mgrid[part], axis=-1)).reshape(-1, 2)
+            centres = grid.center_of(np.stack([*np.mgrid[part]], axis=-1)).reshape(-1, 2)
             filled[part] |= contains([solid], z, centres).reshape(filled[part].shape)
     return filled
 
@@ -80,7 +80,7 @@ def _surface_cells(grid: OccupancyGrid, solids: Sequence[Solid], z: float) -> Bo
     for number, solid in enumerate(solids):
         points, outward = _outline(solid, z, step)
         # A stretch that is sunk in another solid is no surface.
-        near = np.flatnonzero(_near(bounds, bounds[number]))
+        near = np.flatnonzero(_near(bounds, bounds[number])).tolist()
         others = [solids[other] for other in near if other != number]
         exposed = ~contains(others, z, points + 2.0 * INSET_M * outward)
         hit = grid.cell_of((points - INSET_M * outward)[exposed])

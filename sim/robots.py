@@ -114,7 +114,7 @@ class Lidar(Settings):
 
     pose: Vector
     height: Positive
-    n_beams: int = Field(gt=0)
+    n_beams: int = Field(gt=0, le=10_000)
     angle_min: Finite
     angle_increment_deg: Positive
     range_min: Positive
@@ -142,9 +142,9 @@ class Lidar3dMount(Settings):
     """A spinning 3D lidar at `position` in base_footprint: rings at even elevations."""
 
     position: Vector
-    n_rings: int = Field(gt=1)
+    n_rings: int = Field(gt=1, le=256)
     elevation_deg: tuple[Finite, Finite]
-    n_azimuths: int = Field(gt=0)
+    n_azimuths: int = Field(gt=0, le=10_000)
     range_min: Positive
     range_max: Positive
     rate_hz: Positive
@@ -161,11 +161,11 @@ class RobotSpec(Settings):
 
     name: str
     height: Positive
-    footprint: list[tuple[Finite, Finite]] = Field(min_length=3)
+    footprint: list[tuple[Finite, Finite]] = Field(min_length=3, max_length=100)
     axle_height: Positive = 0.010
     """Height of base_link over base_footprint (the TurtleBot3 URDFs' own choice)."""
     limits: Limits
-    parts: list[Part] = Field(min_length=1)
+    parts: list[Part] = Field(min_length=1, max_length=100)
     wheels: Wheels
     lidar: Lidar
     imu: ImuMount

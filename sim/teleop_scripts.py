@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from turtlebag.datasets.durations import LONGEST_S, Seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
@@ -38,26 +39,29 @@ CIRCLE_M = 0.2
 """Radius of the circles it drives where there is room."""
 
 
+Metres = Annotated[float, Field(ge=-100_000.0, le=100_000.0)]
+
+
 class Step(Settings):
     """One action: exactly one of its keys (`steps` belongs to `repeat`)."""
 
-    drive: Finite | None = None
+    drive: Metres | None = None
     """Metres straight on (negative: backwards)."""
-    turn_deg: Finite | None = None
+    turn_deg: Annotated[float, Field(ge=-1e7, le=1e7)] | None = None
     """Degrees on the spot, counter-clockwise."""
-    spin: Finite | None = None
+    spin: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
     """Whole turns on the spot, counter-clockwise."""
-    wait: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    wait: Seconds | None = None
     """Seconds of standing still."""
-    through: list[tuple[Finite, Finite]] | None = None
+    through: Annotated[list[tuple[Finite, Finite]], Field(max_length=10_000)] | None = None
     """World points to drive through, turning on the spot at each."""
     route: str | None = None
     """A route of the world: one in its file, or a planned one (`tour`, `perimeter_then_rooms`)."""
-    wall_follow: Positive | None = None
+    wall_follow: Annotated[float, Field(gt=0.0, le=LONGEST_S)] | None = None
     """Seconds of driving with the wall to the right."""
-    random_walk: Positive | None = None
+    random_walk: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     """Metres of driving to random reachable, collision-free places."""
-    repeat: Annotated[int, Field(ge=1)] | None = None
+    repeat: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """How often to do `steps`."""
     steps: list[Step] = Field(default=[])
 

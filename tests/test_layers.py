@@ -27,7 +27,7 @@ MAY_IMPORT["pipeline/campaign"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/setup"] = [*BELOW, "pipeline/stages", "pipeline/navigation", "pipeline/terminal"]
 MAY_IMPORT["pipeline/cli"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/conformance"] = [*BELOW, "pipeline/slam", "pipeline/localisation", "pipeline/navigation"]
-MAY_IMPORT["pipeline"] = ["pipeline/cli", "pipeline/setup", "pipeline/conformance"]
+MAY_IMPORT["pipeline"] = ["pipeline/cli", "pipeline/setup", "pipeline/conformance", "pipeline/terminal"]
 MAY_IMPORT["pipeline/turtlebag"] = [*MAY_IMPORT]
 """Of the files of a room, which other rooms; `pipeline` itself is the door."""
 

@@ -30,13 +30,20 @@ COLUMNS = frozenset({"case", "failed", "error"})
 OWN_OUTPUT = re.compile(r"""(^|[\s'"|])--out([=\s'"|]|$)""")
 """An option of a stage's command that a campaign sets itself."""
 Scalar = bool | int | float | str
+MOST_CASES = 100_000
 
 
 class Range(Settings):
     """Whole numbers from `first` to `last`, both included."""
 
-    first: int
-    last: int
+    first: int = Field(ge=-(10**9), le=10**9)
+    last: int = Field(ge=-(10**9), le=10**9)
+
+    @model_validator(mode="after")
+    def _countable(self) -> Range:
+        if self.last - self.first >= MOST_CASES:
+            raise ValueError(f"more than {MOST_CASES} values")
+        return self
 
 
 class Uniform(Settings):
@@ -54,7 +61,8 @@ def _of_one_kind(data: Any, validated: ValidatorFunctionWrapHandler) -> Any:
         return validated(data)
     except ValidationError:  # it speaks of each kind in turn
         raise ValueError(
-            "expected a list of values, {first, last} of whole numbers, {low, high}, or texts by name"
+            "expected a list of values, {first, last} of whole numbers, {low, high}, or texts by name, of "
+            f"{MOST_CASES} values at most"
         ) from None
 
 
@@ -110,7 +118,7 @@ class Campaign(Settings):
     seed: int = 1
     bags: list[str] = Field([])
     factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
-    sample: Annotated[int, Field(ge=1)] | None = None
+    sample: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = None
     stages: dict[str, str]
     shared: list[str] = Field([])
     results: dict[str, Result]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +16,15 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.number_text import decimal
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.campaign.bags import find_bags
-from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign, Levels, Scalar, Uniform, levels_of
+from turtlebag.pipeline.campaign.campaign_file import (
+    BAG,
+    MOST_CASES,
+    Campaign,
+    Levels,
+    Scalar,
+    Uniform,
+    levels_of,
+)
 
 PLACE = re.compile(r"\{([^{}]*)\}")
 LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
@@ -64,7 +73,12 @@ def _require_used(campaign: Campaign) -> None:
 
 
 def _grid(factors: Mapping[str, Levels]) -> Iterator[dict[str, Scalar]]:
-    for values in itertools.product(*(levels_of(levels) for levels in factors.values())):
+    every = [levels_of(levels) for levels in factors.values()]
+    if (count := math.prod(map(len, every))) > MOST_CASES:
+        raise InputError(
+            f"factors: their levels make {count} cases; at most {MOST_CASES} (`sample` draws some)"
+        )
+    for values in itertools.product(*every):
         yield dict(zip(factors, values, strict=True))
 
 

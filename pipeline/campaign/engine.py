@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,19 @@ from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Done, Where, row_of, run_case
 from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.stages.run_again import Run
+from turtlebag.pipeline.terminal.messages import log
 
 THREADS = "threads"
 """In the place of a scheduler's address: threads of this process."""
+LOOPBACK = "127.0.0.1"
 AHEAD = 8
 """Cases at the scheduler, for each thread of a worker: what it holds does not grow with a campaign."""
 
 
 @contextmanager
 def _client(scheduler: str | None, workers: int | None, scratch: Path) -> Iterator[Any]:
-    """A Dask client; the local cluster has one single-threaded worker a core and no dashboard."""
+    """A Dask client; the local cluster has one single-threaded worker a core, and Dask's dashboard where
+    Bokeh is installed."""
     import dask
     from distributed import Client, LocalCluster
 
@@ -44,7 +48,7 @@ def _client(scheduler: str | None, workers: int | None, scratch: Path) -> Iterat
         LocalCluster(
             n_workers=workers or os.cpu_count() or 1,
             threads_per_worker=1,
-            dashboard_address=":0",
+            dashboard_address=f"{LOOPBACK}:0",
             silence_logs=logging.CRITICAL,
             local_directory=str(scratch),
             **processes,
@@ -79,6 +83,8 @@ def run_cases(
     from distributed import as_completed
 
     with _client(scheduler, workers, scratch) as client:
+        if link := _dashboard(client, local=scheduler in (None, THREADS)):
+            log.info(f"Dask's dashboard: {link}")
         going: dict[str, Case] = {}
         waiting, finished = iter(todo), as_completed()
 
@@ -98,6 +104,17 @@ def run_cases(
                 yield row_of(case, campaign, _why(future.exception())), None
             future.release()
             start(1)
+
+
+def _dashboard(client: Any, *, local: bool) -> str:
+    """The address of the page on which Dask shows its work; empty when there is none."""
+    if not local:
+        with suppress(KeyError):
+            return str(client.dashboard_link)
+    # Without Bokeh there is a server all the same, but no page.
+    elif find_spec("bokeh"):
+        return f"http://{LOOPBACK}:{client.scheduler_info()['services']['dashboard']}/status"
+    return ""
 
 
 def _why(error: BaseException) -> str:

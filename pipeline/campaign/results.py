@@ -18,15 +18,16 @@ from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.case import Row, Where, kept_at
 from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.campaign.figures import draw_figures, words
-from turtlebag.pipeline.campaign.progress import PAGE, Worst
 from turtlebag.pipeline.campaign.statistics import PairedSummary, compare_pairs, levels_of, summarise
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import write_table
+from turtlebag.pipeline.campaign.worst import Worst
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 
 MANY = 100
 """A factor of more levels has no statistics of each, and the table no file for each."""
+PAGE = "index.html"
 FEW = 100
 """About so many cases are looked at for a result that no row has."""
 MOST_FAILURES = 1000
@@ -115,9 +116,12 @@ def write_results(
             words=words,
         )
 
-    (folder / PAGE).write_text(page("" if runs.is_local else f"{runs.url}/"))
-    if not runs.is_local:
-        runs.put(PAGE, page("").encode())
+    place = Path(runs.at("")) if runs.is_local else None
+    if place == folder.absolute():
+        (folder / PAGE).write_text(page(""))
+        return
+    (folder / PAGE).write_text(page(f"{runs.url if place is None else place.as_uri()}/"))
+    runs.put(PAGE, page("").encode())
 
 
 def _partition(campaign: Campaign, few: Sequence[str]) -> str:

@@ -23,9 +23,9 @@ from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, l
 from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Where, recipes
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
-from turtlebag.pipeline.campaign.progress import PAGE, Progress
 from turtlebag.pipeline.campaign.results import absent_results, write_results
 from turtlebag.pipeline.campaign.store import UNFINISHED, Store, or_else
+from turtlebag.pipeline.campaign.worst import worst_case
 from turtlebag.pipeline.stages.run_again import Run
 from turtlebag.pipeline.terminal.messages import log, track
 
@@ -72,15 +72,15 @@ def sweep(
         lock.watch(inputs.values())
         where = _where(campaign, store, lock.partial, inputs, scheduler)
         _begin(where, campaign, force=out.force)
-        progress = Progress(campaign, where, todo)
         scratch = lock.partial / SCRATCH
 
         def start(left: Sequence[Case]) -> Iterator[Done]:
             return run_cases(campaign, left, where, run, scratch, scheduler=scheduler, workers=workers)
 
-        rows, timing = _run(campaign, todo, where, progress, start)
+        rows, timing = _run(campaign, todo, where, start)
         source = Path(campaign_name).name
-        write_results(campaign, source, rows, where.runs, lock.partial, progress.worst)
+        worst = worst_case(campaign, todo, rows, where)
+        write_results(campaign, source, rows, where.runs, lock.partial, worst)
         absent = absent_results(campaign, todo, rows, where)
         _tidy(Store(str(lock.partial)))
         extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}
@@ -163,7 +163,6 @@ def _run(
     campaign: Campaign,
     todo: Sequence[Case],
     where: Where,
-    progress: Progress,
     start: Callable[[Sequence[Case]], Iterable[Done]],
 ) -> tuple[list[Row], dict[str, float]]:
     """Rows of all cases in the campaign's order, and how long each took [s]; those that were done before are
@@ -175,20 +174,16 @@ def _run(
     for content in where.runs.read_all(names):
         done = json.loads(content)
         rows[done["row"]["case"]], timing[done["row"]["case"]] = done["row"], done["wall_s"]
-        progress.add(done["row"])
     # Draws may repeat a case: it runs once.
     left = list({case.name: case for case in todo if case.name not in rows}.values())
     if rows:
         log.info(f"resuming: {len(rows)} of {len(todo)} cases are done")
     if left:
-        progress.start()
-        log.info(f"progress page: {where.runs.url}/{PAGE}")
         found, told = start(_interleaved(left, campaign)), False
         for row, wall_s in track(_told(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row
             if wall_s is not None:
                 timing[row["case"]] = wall_s
-            progress.add(row)
             if row["failed"]:
                 with STREAMS:
                     log.warning(f"{row['case']}: {row['error']}")

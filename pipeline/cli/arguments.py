@@ -72,10 +72,12 @@ def seed(text: str) -> int:
 
 
 def positive(text: str) -> float:
-    """A finite number of more than 0."""
+    """A number of more than 0, and neither endless nor so small that what is divided by it is."""
     value = _number(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
+    if not 0.001 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"must be 0.001 to 1000000, not {text}")
     return value
 
 

@@ -6,6 +6,7 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
@@ -57,11 +58,11 @@ def add_arguments(parser: Parser) -> None:
     sub = action(
         "convert",
         _convert,
-        "convert a bag to another format, or a CARMEN log to a bag",
+        "convert a bag of ROS 1 or 2 or a CARMEN log to rosbag2, whole or in part",
         "turtlebag bag convert data/record --from 10 --to 60 --out data/part",
     )
-    sub.add_output("NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag", what="OUT")
-    text = "storage format of the rosbag2 folder (default: mcap)"
+    sub.add_output("folder to write the rosbag2 bag to")
+    text = "storage format (default: mcap)"
     sub.add_argument("--storage", choices=("mcap", "sqlite3"), help=text)
     sub.repeated("--exclude", "TOPIC", "topic to leave out; may be repeated")
     text = "drop every transform whose child is FRAME, in /tf and /tf_static; may be repeated"
@@ -116,12 +117,19 @@ def _doctor(args: argparse.Namespace) -> int:
 
     findings = examine(args.bag)
     for finding in findings:
-        say(f"{finding.severity}: {finding.check}: {finding.what}")
-        say(f"    breaks: {finding.breaks}")
-    errors = sum(finding.severity == "error" for finding in findings)
-    warnings = counted(len(findings) - errors, "warning")
-    say(f"{counted(errors, 'error')}, {warnings}" if findings else "no defect found")
-    return 1 if errors else 0
+        say(f"{finding.severity}: {finding.kind}: {finding.what}")
+        if finding.breaks:
+            say(f"    breaks: {finding.breaks}")
+        if finding.remedy:
+            say(f"    here: {finding.remedy}")
+        if finding.first_ns is not None:
+            say(f"    first: at {finding.first_ns * 1e-9:.3f} s")
+    errors, warnings = (
+        counted(sum(finding.severity == severity for finding in findings), severity)
+        for severity in ("error", "warning")
+    )
+    say(f"{errors}, {warnings}" if any(f.breaks for f in findings) else "no defect found")
+    return 1 if any(finding.severity == "error" for finding in findings) else 0
 
 
 def _play(args: argparse.Namespace) -> int:
@@ -155,14 +163,15 @@ def _frame(text: str) -> str:
 def _convert(args: argparse.Namespace) -> int:
     from turtlebag.datasets.bags import convert
     from turtlebag.datasets.bags.selection import Selection
-    from turtlebag.datasets.outputs import staged_file
 
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
     if args.out.suffix in (".gz", ".bz2"):
         raise InputError(f"--out {args.out}: bags are written unpacked; leave out {args.out.suffix}")
-    if args.out.suffix == ".bag" and args.storage is not None:
-        raise InputError(f"--storage {args.storage}: does not apply to a ROS 1 bag; remove the option")
+    if args.out.suffix == ".bag":
+        source = args.bag / "bag" if (args.bag / "bag").is_dir() else args.bag
+        way = f"use `rosbags-convert --src {quote(str(source))} --dst {quote(str(args.out))}`"
+        raise InputError(f"--out {args.out}: ROS 1 bags are read but not written; {way}")
     if _is_log(args.bag):
         why = "a CARMEN log is converted whole; convert it, then the bag that it becomes"
         refuse(args, ("exclude", "exclude_frame", "from", "to"), why)
@@ -170,16 +179,11 @@ def _convert(args: argparse.Namespace) -> int:
     if end_s <= start_s:
         raise InputError(f"--to {end_s:g}: must be later than --from {start_s:g}")
     selection = Selection(tuple(args.exclude), tuple(args.exclude_frame), start_s, end_s)
-    if args.out.suffix == ".bag":
-        with staged_file(args.out, force=args.force) as file:
-            count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, selection)
-            convert.require_messages(args.bag, count, notes)
-    else:
-        out = output(args)
-        with out.staged() as folder:
-            count, notes = _to_folder(args, folder / "bag", selection)
-            convert.require_messages(args.bag, count, notes)
-            out.finish(folder, "bag convert", {"bag": args.bag})
+    out = output(args)
+    with out.staged() as folder:
+        count, notes = _to_folder(args, folder / "bag", selection)
+        convert.require_messages(args.bag, count, notes)
+        out.finish(folder, "bag convert", {"bag": args.bag})
     log_notes(notes)
     log.info(f"{counted(count, 'message')} -> {args.out}")
     return 0

@@ -34,7 +34,6 @@ VERBS = {
     "report": "make an HTML report from the outputs of other commands",
     "compare": "compare two outputs of the same command, or ours with another system's",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
-    "ablate": "map a recording with chosen parts replaced by ground truth (ablation)",
     "verify": "recompute a report's numbers from the bags",
     "bag": "inspect, play, repair and convert bags",
     "data": "list and fetch public logs",
@@ -124,10 +123,24 @@ def _run(args: argparse.Namespace, stdout: Words) -> int:
     if out is None:
         for path in inputs:
             signatures(path)  # no pipes, no devices
-        return int(args.run(args))
+        return _done(args)
     stdout.optional = True
     with lock_output(out, force=args.force, inputs=inputs):
+        return _done(args)
+
+
+def _done(args: argparse.Namespace) -> int:
+    """Exit code of the command. What a user's part raises is its author's to read: a traceback and exit code
+    1, even for an error that we would say in a line, or where it asks Python to exit."""
+    try:
         return int(args.run(args))
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
+        if parts and (place := parts.place_of(error)):
+            raise RuntimeError(place) from error
+        raise
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -162,11 +175,4 @@ def main(argv: Sequence[str] | None = None) -> int:
             return EXIT_INPUT
         except MemoryError:
             print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
-            return EXIT_INPUT
-        except (Exception, SystemExit) as error:
-            parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
-            said = parts.told_of(error) if parts else None
-            if said is None or getattr(args, "verbosity", 0) > 0:
-                raise
-            print(f"turtlebag: {one_line(said)} (-v shows the traceback)", file=sys.stderr)
             return EXIT_INPUT

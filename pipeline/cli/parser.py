@@ -13,12 +13,16 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import map_file, seed
 
 RENAMED = {
-    "blame": "ablate",
     "--takeover": "--teleop-override",
     **{f"--rival{part}": f"--system{part}" for part in ("", "-base", "-times", "-shift")},
 }
 """Present names of verbs and options by their former ones, for the error that a former one is."""
 REMOVED: dict[str, str] = {
+    **dict.fromkeys(
+        ("ablate", "blame"),
+        "give map or navigate a part that knows the truth, "
+        "e.g. --set front_end=turtlebag.testing:TrueFrontEnd",
+    ),
     "teleop --view": "turtlebag studio shows the scan and the map while you drive",
 }
 """What to use in place of verbs and options that are gone; an option as `verb --option`."""

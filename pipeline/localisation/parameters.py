@@ -17,8 +17,8 @@ class AmclConfig(Settings, allow_inf_nan=False):
     3.5 m and 1 cm: ROS's sigma_hit of 0.2 m and its odometry noise are far too wide to reach 1 cm.
     """
 
-    min_particles: int = Field(default=500, ge=2)
-    max_particles: int = Field(default=2000, ge=2)
+    min_particles: int = Field(default=500, ge=2, le=100_000)
+    max_particles: int = Field(default=2000, ge=2, le=100_000)
     kld_err: float = Field(default=0.02, gt=0.0)
     kld_z: float = Field(default=2.33, gt=0.0)  # quantile of the normal distribution itself, as in ROS
 
@@ -34,7 +34,7 @@ class AmclConfig(Settings, allow_inf_nan=False):
     alpha3: float = Field(default=0.01, ge=0.0)  # translation from translation
     alpha4: float = Field(default=0.005, ge=0.0)  # translation [m] from rotation [rad]
 
-    max_beams: int = Field(default=60, ge=1)
+    max_beams: int = Field(default=60, ge=1, le=10_000)
     laser_min_range: float = -1.0  # -1: the sensor's own
     laser_max_range: float = -1.0
     likelihood_max_dist: float = Field(default=2.0, gt=0.0, le=100.0)

@@ -12,7 +12,7 @@ from turtlebag.datasets.durations import LONGEST_S
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.parts import find, is_own, require_attributes
+from turtlebag.datasets.parts import find, is_own
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.config import NavigateConfig
@@ -89,6 +89,8 @@ def prepare(
     """
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
+    if request.timeout_s is not None and request.timeout_s > LONGEST_S:
+        raise InputError(f"--timeout {request.timeout_s:g}: at most {LONGEST_S:g} s")
     config = config.model_copy(update={"sim": config.sim.resolved(robot)})
     if isinstance(request.teleop_override, Path):
         load_script(request.teleop_override)
@@ -152,14 +154,13 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     if request.task == "goal":
         changes.update(SINGLE_GOAL)
     if request.timeout_s is not None:
-        changes["timeout"] = min(request.timeout_s, LONGEST_S)
+        changes["timeout"] = request.timeout_s
     if request.laps is not None:
         changes["laps"] = request.laps
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})
 
 
 Made = tuple[Task, OnlineLocaliser | None, GoalSequence | None]
-DriverMaker = Callable[[Mission, Observation, BagWriter, Callable[[str], None]], Made]
 
 
 def make_driver(
@@ -170,7 +171,6 @@ def make_driver(
     kit = Kit(robot, config, request.seed, Sensing(robot.T_base_lidar), publisher)
     if is_own(request.task):
         task: Task = find(request.task, Task)(kit, mission)
-        require_attributes(task, Task)
         return task, None, None
     if request.task == "avoid":
         return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say), None, None

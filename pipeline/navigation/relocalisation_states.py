@@ -78,7 +78,7 @@ class RelocaliseConfig(Settings, allow_inf_nan=False):
     """Time to turn back and forth; if the cloud is narrow then, it is trusted."""
     roam: Seconds = Field(default=45.0, gt=0.0)
     """Time to drive around reactively until the cloud settles."""
-    restarts: int = Field(default=2, ge=0)
+    restarts: int = Field(default=2, ge=0, le=1000)
     """Restarts of global localisation after that, before the goal is given up.
 
     Also the number of times it looks around at a goal that only seems to be reached."""

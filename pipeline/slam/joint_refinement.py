@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 import scipy
@@ -19,7 +18,7 @@ from pydantic import Field
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.back_end import BackEnd, solved
+from turtlebag.pipeline.slam.back_end import BackEnd
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.factors import Constraint
@@ -47,7 +46,7 @@ RADIUS_M, ALIKE = 4.0, 2
 class RefineConfig(Settings):
     """The joint refinement."""
 
-    rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0: no refinement")
+    rounds: int = Field(default=5, ge=0, le=100, description="linearise-and-solve rounds; 0: no refinement")
 
 
 def refine(
@@ -74,7 +73,7 @@ def refine(
         pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
         return pair_constraints(clouds, keys, poses, pairs, Limits(gate, sigma))
 
-    return in_rounds(T_map_keys, steps, config.rounds, matched, partial(solved, back_end))
+    return in_rounds(T_map_keys, steps, config.rounds, matched, back_end.optimise)
 
 
 def in_rounds(

@@ -38,7 +38,7 @@ BEHIND_CELLS = 3
 class OccupancyConfig(Settings):
     """The occupancy grid."""
 
-    resolution_m: float = Field(default=0.05, gt=0.0, le=1.0)
+    resolution_m: float = Field(default=0.05, ge=0.001, le=1.0)
     occupied_share: float = Field(
         default=0.25,
         gt=0.0,
@@ -58,7 +58,7 @@ class OccupancyConfig(Settings):
         le=1.0,
         description="in front of a wall a cell stays occupied with at least this share of the wall's hits",
     )
-    margin_m: float = Field(default=0.5, ge=0.0, description="margin around the observed area")
+    margin_m: float = Field(default=0.5, ge=0.0, le=100.0, description="margin around the observed area")
     no_return_m: float = Field(
         default=8.0, ge=0.0, description="range that a beam without return clears; 0: none"
     )

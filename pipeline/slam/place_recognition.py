@@ -20,13 +20,12 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, MOST_VIOLATIONS, NEAR_M, THROUGH_M, mean_violation
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.point_to_line_icp import Alignment
@@ -58,7 +57,7 @@ class PlaceRecognitionConfig(Settings):
     """Place recognition."""
 
     enabled: bool = True
-    candidates: int = Field(default=12, gt=0, description="number of most similar submaps to compare")
+    candidates: int = Field(default=12, gt=0, le=1000, description="most similar submaps to compare")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
 
@@ -100,8 +99,8 @@ def recognise_places(
         poses, segment = _laid_together(poses, segment, members)
     loops = [by_distance.constraint(place) for members in believed for place in members]
     free = [*relaxed(steps, released), *known]
-    closed = solved(back_end, SE2(poses), [*free, *firm(loops)])
-    return Recognition(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
+    closed = back_end.optimise(SE2(poses), [*free, *firm(loops)])
+    return Recognition(back_end.optimise(closed, [*free, *loops]), loops, record, part, released)
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
@@ -167,7 +166,6 @@ def _settled(
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     result = matcher.match(clouds, middle, there, start, ROUGH)
-    require_alignment(matcher, result)
     pose = result.T_map_base.xyt
     if result.overlap < config.min_overlap:  # no need to ask the other scans
         return _low_overlap(query, other, score, result)

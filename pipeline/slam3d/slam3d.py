@@ -51,7 +51,8 @@ class Slam3dConfig(Settings):
     deskew: bool = Field(default=True, description="deskew clouds that have times per point")
     voxel_m: float | None = Field(
         default=None,
-        gt=0.0,
+        ge=0.01,
+        le=10.0,
         description="size of the surfels, which all other lengths follow (default: chosen from the log)",
     )
     loops: Loop3dConfig = Loop3dConfig()

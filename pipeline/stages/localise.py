@@ -11,6 +11,7 @@ import numpy as np
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.outputs import Output, Stopwatch
@@ -21,7 +22,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.datasets.yaml_files import config_text, read_mapping
-from turtlebag.pipeline.localisation.localiser import Localiser, require_estimate
+from turtlebag.pipeline.localisation.localiser import Localiser
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
@@ -100,6 +101,7 @@ def localise(
             raise InputError(f"--truth {truth}: {error}") from None
     log_notes(recording.notes)
     metrics = {"scans": len(recording), "log_s": recording.duration(), **delay_metrics(recording), **outcome}
+    metrics |= metrics_of(recording.findings)
     with out.staged() as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
@@ -161,7 +163,6 @@ def run_amcl(
         end = None if T_odom_base_end is None else T_odom_base_end[i]
         updated.append(amcl.update(recording.scan(i), T_odom_base[i], end))
         update_s.append(watch.seconds())
-        require_estimate(amcl)
         poses.append(amcl.T_map_odom @ T_odom_base[i])
         converged.append(amcl.converged)
         particles.append(len(amcl.particles))

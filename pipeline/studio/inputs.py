@@ -25,6 +25,7 @@ Pose = tuple[Coordinate, Coordinate, Coordinate]
 Outline = Annotated[list[Point], Field(min_length=3, max_length=200)]
 ScanNumber = Annotated[int, Field(strict=True, ge=0, le=10**8)]
 MOST_WAYPOINTS = 500
+LONGEST_BAG_S = 1e7
 DRIVING = ("drive", "stop", "release")
 """Inputs that hold until the next one: intervals in `session.yaml`; all others have a time."""
 
@@ -116,7 +117,7 @@ class Seek(Settings):
     """Continue the bag from this time after its start [s]."""
 
     do: Literal["seek"] = "seek"
-    t: Annotated[float, Field(strict=True, ge=0.0, le=1e7, allow_inf_nan=False)]
+    t: Annotated[float, Field(strict=True, ge=0.0, le=LONGEST_BAG_S, allow_inf_nan=False)]
 
 
 class _Pair(Settings):

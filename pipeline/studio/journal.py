@@ -21,7 +21,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.pipeline.navigation.teleop_override import Interval, TeleopOverrideConfig
-from turtlebag.pipeline.studio.inputs import DRIVING, Input, parse_input
+from turtlebag.pipeline.studio.inputs import DRIVING, LONGEST_BAG_S, Input, parse_input
 from turtlebag.sim.simulator import SimConfig
 
 FILE = "session.yaml"
@@ -70,6 +70,7 @@ def load_session(path: Path) -> Recorded:
         header = checked(Header, data, where=str(path))
     if not isinstance(entries, list):
         raise InputError(f"{path}: inputs: expected a list")
+    longest_s = LONGEST_S if isinstance(header, Header) else LONGEST_BAG_S
     actions: list[tuple[int, Input]] = []
     intervals: list[Any] = []
     until_ns = 0
@@ -82,7 +83,7 @@ def load_session(path: Path) -> Recorded:
             intervals.append(interval)
             until_ns = max(until_ns, nanoseconds(interval.end))
             continue
-        at_ns, action = _timed(entry, where)
+        at_ns, action = _timed(entry, where, longest_s)
         if at_ns < (actions[-1][0] if actions else 0):
             raise InputError(f"{where}: at {entry['at']:g} s, before the previous one; sort them by time")
         if actions and actions[-1][1].do == "end":
@@ -94,11 +95,11 @@ def load_session(path: Path) -> Recorded:
     return Recorded(header, tuple(actions), script, until_ns)
 
 
-def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Input | None]:
+def _timed(entry: Mapping[str, Any], where: str, longest_s: float) -> tuple[int, Input | None]:
     """Time [ns] and action of an entry; no action in a line that only says the session was still running."""
     at, rest = entry["at"], {key: value for key, value in entry.items() if key != "at"}
-    if isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at <= LONGEST_S:
-        raise InputError(f"{where}: at: must be 0 to {LONGEST_S:g} s")
+    if isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at <= longest_s:
+        raise InputError(f"{where}: at: must be 0 to {longest_s:g} s")
     at_ns = nanoseconds(at)
     if not rest:
         return at_ns, None

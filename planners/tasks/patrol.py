@@ -24,7 +24,7 @@ class SequenceConfig(Settings, allow_inf_nan=False):
     """For each goal, from the moment it is set."""
     pause: Seconds = 1.0
     """After each reached goal without its own wait."""
-    laps: int = Field(default=1, ge=1)
+    laps: int = Field(default=1, ge=1, le=1000)
     closed: bool = False
     """Whether a lap returns to its first waypoint."""
     retry_missed: bool = False

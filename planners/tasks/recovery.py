@@ -45,7 +45,7 @@ class RecoveryConfig(Settings, allow_inf_nan=False):
         Rung(kind="rotate", amount=1.6),
         Rung(kind="wait", amount=15.0),
     )
-    total: int = Field(default=20, ge=0)
+    total: int = Field(default=20, ge=0, le=10_000)
     """Recoveries per goal, after which it is given up."""
     stuck_time: Seconds = Field(default=5.0, gt=0.0)
     """Time without motion after which the robot counts as stuck."""

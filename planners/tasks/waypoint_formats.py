@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 POSE_KEYS = {"pose", "position"}
-LABELS = {"name", "id", "z", "covariance"}
+LABELS = {"name", "location_name", "id", "description", "metadata", "z", "covariance"}
 """Keys of an entry that say nothing of where to go on a plane."""
 FRAMES = (None, "", "map", "/map")
 NUMBERED = re.compile(r"(\D*)(\d+)")

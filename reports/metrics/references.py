@@ -7,9 +7,11 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.ground_truth import TruePose
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.output_rules import is_output
 from turtlebag.datasets.relations import Relations, load_relations
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics
@@ -44,6 +46,18 @@ class References:
             None if relations is None else load_relations(relations),
             {name: path for name, path in named.items() if path is not None},
         )
+
+    @property
+    def true_pose(self) -> TruePose | None:
+        """The true pose of each scan, where there is one for each."""
+        truth, file = self.truth, self.inputs.get("truth", "truth")
+
+        def pose(scan: int) -> SE2:
+            if truth is None or scan >= len(truth):
+                raise InputError(f"{file}: does not have one pose for each scan")
+            return truth.poses[scan]
+
+        return None if truth is None else pose
 
     def errors(self, trajectory: Trajectory, grid: OccupancyGrid | None) -> MapErrors:
         """How far a map is off; InputError for truth or relations of another recording."""

@@ -9,7 +9,7 @@ from turtlebag.pipeline.cli.main import main
 @pytest.mark.parametrize(
     ("words", "option"),
     [
-        (["bag", "convert", "x.mcap", "--storage", "mcap", "--out", "x.bag"], "--storage"),
+        (["bag", "convert", "x.mcap", "--out", "x.bag"], "--out x.bag: ROS 1 bags are read but not written"),
         (["bag", "convert", "drive.clf", "--exclude", "/odom", "--out", "rec"], "--exclude"),
         (["report", ".", "--index", "--paper", "--out", "page"], "--paper"),
         (["report", ".", "--index", "--no-animation", "--out", "page"], "--no-animation"),

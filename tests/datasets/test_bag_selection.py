@@ -122,7 +122,7 @@ def test_damaged_transforms_are_left_out_and_said_to_be(bag, tmp_path):
         for k, message in enumerate(open_bag(bag).messages()):
             copier.write(message._replace(data=message.data[:30]) if k == 4 else message)
     count, notes = to_mcap(tmp_path / "bad", tmp_path / "copy", Selection(exclude_frames=("camera",)))
-    assert notes == ["/tf: 1 damaged messages left out"]
+    assert notes == ["/tf: 1 message cannot be decoded; left out"]
     assert count == len(contents(bag)) - 1
 
 

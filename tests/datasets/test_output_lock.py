@@ -210,7 +210,6 @@ READERS = {
     "localise": ("localise", "IN", "--map", "x"),
     "report": ("report", "x", "IN"),
     "compare": ("compare", "x", "IN"),
-    "ablate": ("ablate", "IN"),
     "convert": ("bag", "convert", "IN"),
     "recover": ("bag", "recover", "IN"),
     "record": ("record", "--world", "empty", "--teleop", "IN"),

@@ -43,7 +43,7 @@ FILES = {
               enumerate(PLACES)},
     "flat": [{"frame_id": "map", "x": x, "y": y, "z": 0.0, **{f"q{k}": v for k, v in quaternion(a).items()}}
              for x, y, a in PLACES],
-    "theta": [{"name": "kitchen", "x": x, "y": y, "theta": a} for x, y, a in PLACES],
+    "theta": [{"location_name": "kitchen", "x": x, "y": y, "theta": a} for x, y, a in PLACES],
     "yaw": {"waypoints": [{"position": {"x": x, "y": y}, "orientation": {"yaw": a}} for x, y, a in PLACES]},
 }  # fmt: skip
 
@@ -68,6 +68,9 @@ def test_what_ros2_topic_echo_prints_is_read(tmp_path):
     assert load_waypoints(path).waypoints[0].T_map_goal.xyt == pytest.approx(PLACES[0])
     path.write_text("- [1, 2]\n---\na: [\n---\n")
     with pytest.raises(InputError, match=r"echo\.yaml, line 3: not valid YAML"):
+        load_waypoints(path)
+    path.write_text("---\n" * 20_000)
+    with pytest.raises(InputError, match=r"echo\.yaml: more than 10000 documents"):
         load_waypoints(path)
 
 

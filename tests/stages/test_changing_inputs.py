@@ -8,7 +8,7 @@ import pytest
 
 import turtlebag.pipeline.stages.sources
 from tests.helpers.bag_samples import write_drive
-from turtlebag.datasets.bags import convert
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
@@ -22,7 +22,7 @@ def bags(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bags")
     write_drive(folder / "drive", seconds=80.0)
     shutil.copy(folder / "drive/bag_0.mcap", folder)
-    convert.to_ros1_bag(folder / "drive", folder / "a.bag")
+    to_ros1_bag(folder / "drive", folder / "a.bag")
     assert all((folder / name).stat().st_size > 5 << 18 for name in ("bag_0.mcap", "a.bag"))
     return folder
 

@@ -1,6 +1,7 @@
 """Campaigns over bags: patterns, a row for each bag, and everything in a store."""
 
 import json
+import math
 import time
 import uuid
 from pathlib import Path
@@ -12,15 +13,15 @@ import pytest
 
 from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, write_json, write_manifest
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.campaign.bags import _below, find_bags
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
 from turtlebag.pipeline.campaign.case import Where, made_once, row_of
 from turtlebag.pipeline.campaign.cases import cases
-from turtlebag.pipeline.campaign.progress import Progress
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
+from turtlebag.pipeline.campaign.worst import worst_case
 
 CAMPAIGN = """
 name: fleet
@@ -209,6 +210,8 @@ def test_every_bag_is_a_row_and_the_store_holds_all(place, tmp_path):
     shared = store.names("shared")
     assert len(shared) == 2 * 3
     assert "10 cases" in store.read("index.html").decode()
+    base = f"file://{place}/campaigns/fleet" if place.startswith("/") else store.url
+    assert f'href="{base}/cases/' in (tmp_path / "out/index.html").read_text()
     assert json.loads((tmp_path / "out/manifest.json").read_text())["store"] == store.url
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "config.yaml", "index.html", "manifest.json", "summary.json",
@@ -226,30 +229,20 @@ def test_every_bag_is_a_row_and_the_store_holds_all(place, tmp_path):
     assert len(query(store, sql)[1]) == 12
 
 
-def test_the_page_tells_how_far_it_is_and_which_case_is_worst(tmp_path, monkeypatch):
+def test_the_worst_case_is_the_first_with_the_largest_number(tmp_path):
     (tmp_path / "fleet.yaml").write_text(CAMPAIGN.format(at=tmp_path).replace("gone.mcap", "it.mcap"))
     for name in ("runs/a.mcap", "drive/x.bag"):
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).touch()
     campaign = load_campaign(str(tmp_path / "fleet.yaml"))
     todo, store = cases(campaign), Store(str(tmp_path / "out"))
-    progress = Progress(campaign, Where(store, store, ""), todo)
-
-    def row(case, scans):
-        return row_of(case, campaign, "map: a <defect>" if scans is None else "") | {"scans": scans}
-
-    progress.add(row(todo[0], 7))  # of an earlier start: not part of the rate
-    progress.start()
-    for now_s, case, scans in ((10.0, todo[1], 9), (30.0, todo[2], None)):
-        monkeypatch.setattr(Stopwatch, "seconds", lambda watch, now_s=now_s: now_s)
-        progress.add(row(case, scans))
-    page = store.read("index.html").decode()
-    assert "3 of 6 cases (50.0\u202f%), 1 failed" in page
-    assert "<td>cases a minute</td><td>4</td>" in page
-    assert "<td>time left</td><td>45 s</td>" in page
-    assert f'<a href="cases/{todo[1].name}/map/metrics.json">bag {tmp_path}/runs/a.mcap, way 2</a>' in page
-    assert "map: a &lt;defect&gt;" in page
-    assert '<meta http-equiv="refresh" content="5">' in page
+    where = Where(store, store, "")
+    values = [7, 9, None, True, 9, math.nan]
+    rows = [row_of(case, campaign, "") | {"scans": n} for case, n in zip(todo, values, strict=True)]
+    worst = worst_case(campaign, todo, rows, where)
+    assert (worst.row, worst.value, worst.label) == (rows[1], 9, "scans")
+    assert worst.link == f"cases/{todo[1].name}/map/metrics.json"
+    assert worst_case(campaign, todo, rows[2:4], where) is None
 
 
 def test_bags_are_a_factor_with_a_name_of_its_own(tmp_path):
