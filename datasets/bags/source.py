@@ -196,6 +196,9 @@ def _open_folder(path: Path) -> Bag:
             if not findings:
                 what = f"{METADATA_FILE} is missing: the recording may be unfinished"
                 findings.append(Finding("missing metadata", "", what))
+            if kind == "ros1":
+                for file in files:
+                    _kind_of(file)  # which names an older version
             return Bag(path, kind, files, findings)
     raise InputError(f"{path}: no bag in this folder (no {METADATA_FILE}, .mcap, .db3 or .bag file)")
 
