@@ -30,7 +30,8 @@ CHUNK_BYTES = 1 << 30
 """Most that one chunk may hold, and all chunks of a file too that is not a `CHUNK_RATIO`th of it."""
 JUNK = (".DS_Store", "Thumbs.db")
 """Files that file managers leave in folders that somebody looks at: nobody's input and nobody's output."""
-_PIECE = 1 << 20
+PIECE_BYTES = 1 << 20
+MOST_FILES = 100_000
 
 
 def sha256_file(path: Path) -> str:
@@ -43,7 +44,7 @@ Signature = tuple[int, int, int, int]
 """What changes when a file is written to or replaced: device, inode, size and time of change [ns]."""
 
 
-def signatures(path: Path, most: int = 100_000) -> dict[Path, Signature]:
+def signatures(path: Path, most: int = MOST_FILES) -> dict[Path, Signature]:
     """Signature of a file, or of every file below a folder.
 
     InputError for a pipe or a device, which a reader would wait for, and for a folder of more than `most`
@@ -98,11 +99,12 @@ def opened_plain(path: Path) -> BinaryIO:
 
 
 class FileBytes:
-    """The bytes of a file, sliced as a `bytes` object is and read on demand. Unlike with a memory map, a file
-    that is truncated meanwhile is an InputError, not a crash. Open as long as the object lives."""
+    """The bytes of a file, sliced as a `bytes` object is and read on demand, `piece` bytes or more at a time.
+    Unlike with a memory map, a file that is truncated meanwhile is an InputError, not a crash. It is open as
+    long as the object lives."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, piece: int = PIECE_BYTES) -> None:
+        self._path, self._piece = path, piece
         self._file = opened_plain(path)
         weakref.finalize(self, self._file.close)
         self._size = os.fstat(self._file.fileno()).st_size
@@ -118,7 +120,8 @@ class FileBytes:
         size, at = max(stop - start, 0), start - self._start
         if at < 0 or at + size > len(self._window):
             self._start, at = start, 0
-            self._window = os.pread(self._file.fileno(), max(size, min(_PIECE, len(self) - start)), start)
+            count = max(size, min(self._piece, len(self) - start))
+            self._window = os.pread(self._file.fileno(), count, start)
         piece = self._window[at : at + size]
         while len(piece) < size:  # a read may give less than was asked for, but not nothing
             more = os.pread(self._file.fileno(), size - len(piece), start + len(piece))
@@ -130,18 +133,18 @@ class FileBytes:
     def find(self, part: bytes, start: int) -> int:
         """Where `part` begins first, from `start` on; -1 when it does not."""
         while start < len(self):
-            piece = self[start : start + _PIECE + len(part) - 1]
+            piece = self[start : start + self._piece + len(part) - 1]
             at = piece.find(part)
             if at >= 0:
                 return start + at
-            start += _PIECE
+            start += self._piece
         return -1
 
     def crc32(self, stop: int) -> int:
         """CRC-32 of the first `stop` bytes."""
         crc = 0
-        for start in range(0, stop, _PIECE):
-            crc = zlib.crc32(self[start : min(start + _PIECE, stop)], crc)
+        for start in range(0, stop, self._piece):
+            crc = zlib.crc32(self[start : min(start + self._piece, stop)], crc)
         return crc
 
 

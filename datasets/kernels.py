@@ -63,16 +63,17 @@ class KeptKernel:
     @cached_property
     def _numbas(self) -> Any:
         """None where nothing can be kept: numba would then look for a place where code can be stale."""
-        place, before = folder(), numba.config.CACHE_DIR
+        config: Any = numba.config
+        place, before = folder(), config.CACHE_DIR
         if place is None:
             return None
-        numba.config.CACHE_DIR = str(place)  # read only while the cache is made; a user's kernels have theirs
+        config.CACHE_DIR = str(place)  # read only while the cache is made; a user's kernels have theirs
         try:
             made = FunctionCache(self._function)
         except (RuntimeError, OSError):
             return None
         finally:
-            numba.config.CACHE_DIR = before
+            config.CACHE_DIR = before
         return made if Path(made.cache_path).is_relative_to(place) else None
 
     @property

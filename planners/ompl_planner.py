@@ -80,7 +80,7 @@ def solve(
     ou.noOutputHandler()
     ou.RNG.setSeed(seed % (2**32 - 1) + 1)
     space = ob.RealVectorStateSpace(2)
-    space.setBounds(_bounds(ob, floor.inside, floor.resolution))
+    space.setBounds(floor_bounds(ob, floor.inside, floor.resolution))
     info = ob.SpaceInformation(space)
     rows, cols = floor.inside.shape
 
@@ -119,12 +119,12 @@ def exact_path(info: Any, ends: tuple[Any, Any], enough: float, config: OmplConf
         return _path_on_roadmap(planner, problem, config.iterations)
     planner.solve(iteration_limit(config.iterations))
     # PlannerStatus is truthy for approximate solutions too.
-    return _with_start(info, problem, ends[0]) if problem.hasExactSolution() else None
+    return solution_from(ends[0], info, problem) if problem.hasExactSolution() else None
 
 
-def _with_start(info: Any, problem: Any, start: Any) -> Any | None:
-    """The solution, with the start prepended if the planner left it out; None if it does not reach the start.
-    AORRTC repeats the goal when it is in sight."""
+def solution_from(start: Any, info: Any, problem: Any) -> Any | None:
+    """OMPL's solution of the problem, with the start prepended where the planner left it out: AORRTC gives
+    the goal alone when it is in sight. None where no motion leads from the start to its first state."""
     path = problem.getSolutionPath()
     first = path.getStates()[0]
     if info.distance(start, first) > 0.0:
@@ -164,7 +164,7 @@ def iteration_limit(iterations: int) -> Any:
     return ob.PlannerTerminationCondition(spent)
 
 
-def _bounds(ob: Any, inside: NDArray[np.bool_], resolution: float) -> Any:
+def floor_bounds(ob: Any, inside: NDArray[np.bool_], resolution: float) -> Any:
     """Bounding box of the searched floor."""
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     bounds = ob.RealVectorBounds(2)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.help_text import actions, options
 from tests.helpers.page_commands import BLOCK, commands, run_page
 from turtlebag.datasets.maps import MapYaml
 from turtlebag.datasets.recordings import load_recording
@@ -18,7 +19,7 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import load_model
 from turtlebag.pipeline.campaign.campaign_file import Campaign
-from turtlebag.pipeline.cli.main import VERBS, build_parser, joined
+from turtlebag.pipeline.cli.main import VERBS, joined
 from turtlebag.pipeline.navigation.teleop_override import load_script
 from turtlebag.pipeline.slam.loop_edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig
@@ -97,14 +98,11 @@ def check_verb(words):
         return
     for verb in words[0].split("|"):
         assert verb in VERBS, f"no verb {verb}"
-        parser = build_parser(verb)
-        sub = next(a for a in parser._actions if hasattr(a, "choices") and a.choices).choices[verb]
-        nested = next((a for a in sub._actions if type(a).__name__ == "_SubParsersAction"), None)
-        known = set(sub._option_string_actions)
-        if nested is not None and len(words) > 1:
+        known = set(options(verb))
+        if actions(verb) and len(words) > 1:
             for action in words[1].split("|"):
-                assert action in nested.choices, f"{verb} has no {action}"
-                known |= set(nested.choices[action]._option_string_actions)
+                assert action in actions(verb), f"{verb} has no {action}"
+                known |= set(options(verb, action))
         for word in joined(words[1:]):
             if word.startswith("-") and not re.match(r"-[\d.]", word):
                 assert word.partition("=")[0] in known, f"turtlebag {verb} knows no {word}"

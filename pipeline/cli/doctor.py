@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
 from turtlebag.pipeline.cli.parser import Parser
@@ -21,9 +21,13 @@ def add_arguments(parser: Parser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a line per check; 0 when all pass, 1 otherwise."""
+    """Make all checks, with --trial also that one."""
+    return report({**CHECKS, "trial": _trial} if args.trial else CHECKS)
+
+
+def report(checks: Mapping[str, Callable[[], str]]) -> int:
+    """Make the checks and print a line for each; 0 when all pass, 1 otherwise."""
     failed = 0
-    checks = {**CHECKS, "trial": _trial} if args.trial else CHECKS
     for name, check in checks.items():
         try:
             detail = check()

@@ -30,9 +30,9 @@ from turtlebag.pipeline.slam.point_to_line_icp import (
     NEIGHBOURS,
     STEP_COVARIANCE_SCALE,
     SURFACE_VAR,
-    _safe_solve,
     add_equation,
     observable,
+    safe_solve,
 )
 from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise
 from turtlebag.pipeline.slam.threads import in_parts
@@ -192,7 +192,7 @@ def linearise_pairs(
         used_a, hit_a, faked_a = _half(clouds, keys[a], keys[b], (ix, iy, c, -s), limits, True, (h, g))
         overlap[k] = max(hit_a / max(used_a, 1), hit_b / max(used_b, 1))
         seen = observable(h, faked_a + faked_b)
-        step = -_safe_solve(h, g)
+        step = -safe_solve(h, g)
         relative[k, 0] = tx + c * step[0] - s * step[1]
         relative[k, 1] = ty + s * step[0] + c * step[1]
         relative[k, 2] = (dyaw + step[2] + math.pi) % (2.0 * math.pi) - math.pi

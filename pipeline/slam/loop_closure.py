@@ -53,7 +53,7 @@ def close_graph(
         record = [*added, *(loop for loop in finder.record if loop.accepted)]
         finder = close(found.T_map_keys, found.part, [*finder.loops, *found.loops])
         record += finder.record
-    unbridged = breaks.broken & ~found.released & ~_spanned(record, n)
+    unbridged = breaks.broken & ~found.released & ~spanned_steps(record, n)
     return Graph(SE2(finder.poses), [*steps, *finder.loops], record, found.record, unbridged)
 
 
@@ -71,7 +71,7 @@ def _added(
     return added, closing.back_end.optimise(roughly, [*steps, *loops])
 
 
-def _spanned(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:
+def spanned_steps(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:
     """Steps that an accepted loop by distance spans, (keys - 1,)."""
     spans = np.zeros(n_keys, dtype=np.int64)
     for loop in record:

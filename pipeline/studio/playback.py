@@ -86,8 +86,16 @@ class Playhead:
 class Playback(BaseSession):
     """Plays a bag. InputError for one that cannot be mapped."""
 
-    def __init__(self, setup: BagSetup, folder: Path, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        setup: BagSetup,
+        folder: Path,
+        say: Callable[[str], None],
+        config: SlamConfig | None = None,
+    ) -> None:
+        """`config`: how the whole bag is mapped."""
         self._log, self.scene = setup.recording, setup.scene()
+        self._config = config or SlamConfig()
         super().__init__(setup.header(), folder, say)
         self._head = Playhead(self._log.stamps_ns)
         self._edits = Edits()
@@ -229,7 +237,7 @@ class Playback(BaseSession):
         if self._built is not None and self._built.edits == self._edits and self._drawn is self._built:
             return "the map of the whole bag is already shown"
         try:
-            result = run_slam(self._log, SlamConfig(), self._until_interrupted, edits=self._edits)
+            result = run_slam(self._log, self._config, self._until_interrupted, edits=self._edits)
         except InputError as error:
             raise InputError(str(error).removeprefix("--edits: ")) from None
         graph = graph_of(result)

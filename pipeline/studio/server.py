@@ -31,7 +31,6 @@ HELD_BYTES = 256 * 1024
 GIANT_BYTES = 1024 * 1024
 """A message larger than this is not even read to its end."""
 PING_S = 20.0
-"""A client that does not answer for so long is gone."""
 IDLE_S = 30.0
 CLOSING_S = 1.0
 """So long the pages have to close in good order."""
@@ -193,17 +192,17 @@ class Viewer(CheckedHandler, WebSocketHandler):
         self._written.add_done_callback(lambda written: written.cancelled() or written.exception())
 
 
-def application(studio: Studio, access: Access) -> Application:
+def application(studio: Studio, access: Access, page: Path, ping_s: float) -> Application:
     """The page, its parts and the socket; everything else is not found, by the same rules."""
     return Application(
         [("/", Page), ("/socket", Viewer, {"studio": studio}), (r"/(.+)", Part)],
         default_handler_class=CheckedHandler,
         access=access,
-        files=page_files(PAGE),
+        files=page_files(page),
         log_function=lambda handler: None,
         websocket_max_message_size=GIANT_BYTES,
-        websocket_ping_interval=PING_S,
-        websocket_ping_timeout=PING_S,
+        websocket_ping_interval=ping_s,
+        websocket_ping_timeout=ping_s,
     )
 
 
@@ -214,14 +213,17 @@ async def serve(
     *,
     interrupted: Sequence[int],
     ready: Callable[[], None],
+    page: Path = PAGE,
+    ping_s: float = PING_S,
 ) -> None:
     """Run a session for those who open its page, until it ends or something is in `interrupted`.
 
-    `ready` is called when the page can be opened. Raises what went wrong in the session.
+    `ready` is called when the page can be opened, whose files are below the folder `page`; one that does not
+    answer for `ping_s` is gone. Raises what went wrong in the session.
     """
     studio = Studio(session)
     limits = {"max_header_size": 16 * 1024, "max_body_size": 0}
-    server = HTTPServer(application(studio, access), idle_connection_timeout=IDLE_S, **limits)
+    server = HTTPServer(application(studio, access, page, ping_s), idle_connection_timeout=IDLE_S, **limits)
     server.add_sockets(sockets)
     studio.thread.start()
     ready()

@@ -88,8 +88,3 @@ def test_each_shell_has_the_verbs_worlds_and_robots(shell, capsys):
     script = capsys.readouterr().out
     for name in (*VERBS, *world_names(), *robot_names()):
         assert name in script, name
-
-
-def test_another_shell_is_one_line(capsys):
-    assert main(["completion", "cmd"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1

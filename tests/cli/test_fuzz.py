@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.fuzz_cases import CASES, ROOM, SDF
-from tests.helpers.fuzz_inputs import attempt, complaint, outcome, with_output
+from tests.helpers.fuzz_inputs import Unbroken, attempt, complaint, outcome, with_output
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.relations import load_relations
@@ -51,29 +51,27 @@ def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
         "session to drive again",
     ],
 )
-def test_what_is_not_broken_is_accepted(chain, no_workers, monkeypatch, tmp_path, case):
+def test_what_is_not_broken_is_accepted(chain, no_workers, tmp_path, case):
     """Else the variants above might all be refused for something that nobody broke."""
-    monkeypatch.setattr("tests.helpers.fuzz_cases.broken", lambda rng, path: None)
     (tmp_path / "in").mkdir()
-    words = with_output(CASES[case](random.Random(1), chain, tmp_path / "in"), tmp_path)
+    words = with_output(CASES[case](Unbroken(1), chain, tmp_path / "in"), tmp_path)
     code, said = outcome(words)
     assert code in (0, 1), said
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", [lambda: None, lambda: time.sleep(0.1)], ids=["computes", "waits"])
-def test_a_command_that_does_not_end_in_time_is_no_success(monkeypatch, tmp_path, what):
+def test_a_command_that_does_not_end_in_time_is_no_success(tmp_path, what):
     def endless(words):
         while True:
             what()
 
-    monkeypatch.setattr("tests.helpers.fuzz_inputs.main", endless)
-    monkeypatch.setattr("tests.helpers.fuzz_inputs.WAITING", 5)
-    assert "more than 0.05 s" in complaint(["map", "x"], tmp_path, seconds=0.05)
+    found = complaint(["map", "x"], tmp_path, seconds=0.05, command=endless, waiting=5)
+    assert "more than 0.05 s" in found
 
 
 @pytest.mark.slow
-def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
+def test_compiling_is_not_counted_and_what_follows_is(tmp_path):
     @njit(cache=False)
     def kernel(values):
         return (values * 2.0).sum()
@@ -84,12 +82,11 @@ def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
             pass
         return 0
 
-    monkeypatch.setattr("tests.helpers.fuzz_inputs.main", compiles)
-    monkeypatch.setattr("tests.helpers.fuzz_inputs.WAITING", 600)
+    how = {"seconds": 0.1, "command": compiles, "waiting": 600}
     begin = time.process_time()
-    assert complaint(["short"], tmp_path, seconds=0.1) == ""
+    assert complaint(["short"], tmp_path, **how) == ""
     assert time.process_time() - begin > 0.1
-    assert "more than 0.1 s" in complaint(["endless"], tmp_path, seconds=0.1)
+    assert "more than 0.1 s" in complaint(["endless"], tmp_path, **how)
 
 
 def refusal(read, given):

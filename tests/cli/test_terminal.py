@@ -29,44 +29,6 @@ def normal():
     console.set_verbosity(0)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [[], ["navigate"], ["bag"], ["bag", "info"], ["mpa"], ["map", "--ot", "x"], ["map", "", "--out", "x"]],
-)
-def test_a_usage_error_is_one_line_that_begins_once_with_the_program(capsys, words):
-    assert main(words) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert error.startswith("turtlebag: ")
-    assert not error.startswith("turtlebag: turtlebag")
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--sed", "1"], "unrecognized arguments: --sed; did you mean --seed?"),
-        (["--sed=1"], "unrecognized arguments: --sed=1; did you mean --seed?"),
-        (["--qqq"], "unrecognized arguments: --qqq"),
-    ],
-)
-def test_an_unknown_option_is_told_by_its_verb_with_the_nearest_one(capsys, words, said):
-    assert main(["record", "--world", "empty", "--out", "x", *words]) == 2
-    assert capsys.readouterr().err == f"turtlebag: record: {said} (see turtlebag record --help)\n"
-
-
-def test_an_unknown_option_before_the_verb_is_told_first(capsys):
-    for words, place in ((["--foo", "map"], "turtlebag"), (["bag", "--foo=1", "info"], "turtlebag bag")):
-        assert main(words) == 2
-        assert f"unrecognized arguments: {' '.join(words[place.count(' ') :][:1])} (see {place} --help)" in (
-            capsys.readouterr().err
-        )
-
-
-def test_an_option_is_not_abbreviated_and_a_misspelt_required_one_is_told_first(capsys):
-    assert main(["record", "--wor", "empty", "--out", "x"]) == 2
-    assert "unrecognized arguments: --wor; did you mean --world?" in capsys.readouterr().err
-
-
 def test_the_help_of_navigate_tells_the_times_that_are_taken(capsys):
     with pytest.raises(SystemExit):
         main(["navigate", "--help"])
@@ -199,16 +161,6 @@ def test_a_map_that_the_truth_denies_is_bad_whatever_the_mapper_believes(
     assert f"{first} map of 9 scans" in told
     assert said in told
     assert ("is the truth" in told) == ("is the truth" in said)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["a/b", "../x", "config", "map", "", ".x"])
-def test_a_name_for_a_map_that_would_be_another_file_is_refused(tmp_path, capsys, name):
-    (tmp_path / "in").mkdir()
-    assert main(["map", str(tmp_path / "in"), "--name", name, "--out", str(tmp_path / "out")]) == 2
-    said = f"--name {name}: " if name else "empty argument after --name; "
-    assert capsys.readouterr().err.startswith(f"turtlebag: {said}")
-    assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
 HEAVY = {"numba", "scipy", "gtsam", "pybullet", "ompl", "open3d", "matplotlib", "rosbags", "PIL", "duckdb"}

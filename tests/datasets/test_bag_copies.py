@@ -11,7 +11,7 @@ from turtlebag.datasets.bags.convert import carmen_to_mcap, require_messages
 from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, is_latched
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
-from turtlebag.datasets.bags.point_clouds import _DTYPES, _seconds, decode_cloud, load_clouds
+from turtlebag.datasets.bags.point_clouds import decode_cloud, load_clouds
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.topics import Message, Topic
@@ -20,29 +20,34 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 
 
-def test_the_times_of_points_are_told_by_their_size():
-    stamp = 1_700_000_000 * S
-    for values, kind, expected in (
-        ([0.0, 0.1], 7, [0.0, 0.1]), ([0, 10**8], 6, [0.0, 0.1]), ([0, 10**8], 5, [0.0, 0.1]),
-        ([1.7e9, 1.7e9 + 0.1], 8, [0.0, 0.1]), ([1.7e18, 1.7e18 + 1e8], 8, [0.0, 0.1]),
-        ([0.0, 2.0], 7, [0.0, 2.0]),
-        ([0.0, 2.1], 7, None), ([0.0, math.nan], 7, None), ([-2.1, 0.0], 7, None), ([], 7, []),
-    ):  # fmt: skip
-        found = _seconds(np.array(values, dtype=_DTYPES[kind]), stamp)
-        assert (None if found is None else found.tolist()) == (
-            None if expected is None else pytest.approx(expected, abs=1e-6)
-        )
-
-
-def cloud_bytes(fields, step, rows, width, pad=0, short=0, big=False):
+def cloud_bytes(fields, step, rows, width, pad=0, short=0, big=False, stamp=5 * S):
     types = TYPES["sensor_msgs/msg/PointField"]
     data = np.frombuffer(rows[: len(rows) - short], dtype=np.uint8)
     message = TYPES[CLOUD](
-        header(5 * S, "lidar"), len(rows) // (width * step + pad), width,
+        header(stamp, "lidar"), len(rows) // (width * step + pad), width,
         [types(name, offset, kind, 1) for name, offset, kind in fields], big, step, width * step + pad,
         data, False,
     )  # fmt: skip
     return bytes(STORE.serialize_cdr(message, CLOUD))
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "seconds"),
+    [
+        ([0.0, 0.1], 7, [0.0, 0.1]), ([0, 10**8], 6, [0.0, 0.1]), ([0, 10**8], 5, [0.0, 0.1]),
+        ([1.7e9, 1.7e9 + 0.1], 8, [0.0, 0.1]), ([1.7e18, 1.7e18 + 1e8], 8, [0.0, 0.1]),
+        ([0.0, 2.0], 7, [0.0, 2.0]),
+        ([0.0, 2.1], 7, None), ([0.0, math.nan], 7, None), ([-2.1, 0.0], 7, None), ([], 7, []),
+    ],
+)  # fmt: skip
+def test_the_times_of_points_are_told_by_their_size(values, kind, seconds):
+    layout = [("xyz", "<f4", 3), ("t", {5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}[kind])]
+    seen = [((1.0, 2.0, 3.0), value) for value in values]
+    points = np.array([*seen, ((0.0, 0.0, 0.0), 0)], dtype=layout)  # the last one saw nothing
+    fields = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("t", 12, kind)]
+    data = cloud_bytes(fields, points.itemsize, points.tobytes(), len(points), stamp=1_700_000_000 * S)
+    times = decode_cloud(Cursor(data))[2].times
+    assert (None if times is None else times.tolist()) == (seconds and pytest.approx(seconds, abs=1e-6))
 
 
 XYZ = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7)]

@@ -169,6 +169,13 @@ def test_damage_is_named_by_its_place_and_stepped_over_to_the_next_chunk(tmp_pat
     assert not state.stopped
 
 
+@pytest.mark.slow
+def test_a_bag_of_which_every_chunk_is_large_is_not_read_to_its_end(tmp_path):
+    large = chunk(message(7, 1, bytes(60 << 20)), "zstd", crc=0)
+    with pytest.raises(InputError, match="chunks unpack to more than 1000 times"):
+        read(tmp_path, whole([HEADER, SCHEMA, CHANNEL, *[large] * 18]), lambda channel: False)
+
+
 def test_records_of_other_kinds_are_passed_by(tmp_path):
     others = [record(9, b"attachment"), record(8, bytes(60)), record(0x80, b"private"), record(0xFF, b"")]
     assert read(tmp_path, whole([*GOOD, *others], count=2))[1].problems == []

@@ -1,4 +1,4 @@
-"""Implausible numbers and units, function by function, at their limits."""
+"""CARMEN logs line by line, and implausible numbers and units at their limits."""
 
 import math
 from pathlib import Path
@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.bags import plausibility
-from turtlebag.datasets.carmen import (
-    _in_metres,
-    _laser_pose,
-    _period,
-    is_carmen,
-    parse_carmen,
-)
+from turtlebag.datasets.carmen import is_carmen, parse_carmen
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 
@@ -39,44 +33,69 @@ def test_lines_with_words_or_impossible_poses_are_damaged(text):
     assert "2 damaged lines skipped, the first is line 1" in found.notes
 
 
+def log_of(poses_base, *, poses_lidar=None, readings=None, stamps=None, params=()):
+    """A log of scans at poses (n, 3), a second apart if not told: the recording that is read of it."""
+    poses_base = np.asarray(poses_base)
+    poses_lidar = poses_base if poses_lidar is None else poses_lidar
+    stamps = range(len(poses_base)) if stamps is None else stamps
+    readings = [[1.0, 2.0, 3.0]] * len(poses_base) if readings is None else readings
+    lines = [f"PARAM {name} {value}" for name, value in params]
+    for row, lidar, base, stamp in zip(readings, poses_lidar, poses_base, stamps, strict=True):
+        words = " ".join(repr(float(value)) for value in (*row, *lidar, *base))
+        lines.append(f"FLASER {len(row)} {words} {stamp} host {stamp}")
+    return parse_carmen("\n".join(lines).encode(), Path("a.log"), T_base_lidar=None, notes=[])
+
+
+def told(recording, part):
+    return [note for note in recording.notes if part in note]
+
+
 def test_millimetres_become_metres_apart_for_readings_and_poses():
-    stamps = np.arange(20, dtype=np.int64) * 10**9
-    rng = np.random.default_rng(2)
-    values = np.column_stack([rng.uniform(900.0, 4000.0, (20, 30)), np.zeros((20, 6))])
-    values[:, [-6, -5, -4, -3, -2, -1]] = np.arange(20)[:, None] * [200.0, 100.0, 0.01, 200.0, 100.0, 0.01]
-    notes = []
-    found = _in_metres(values, stamps, notes)
-    np.testing.assert_allclose(found[:, :-6], 1e-3 * values[:, :-6])
-    np.testing.assert_allclose(found[:, -6:], values[:, -6:] * [1e-3, 1e-3, 1, 1e-3, 1e-3, 1])
-    assert len(notes) == 2
-    metres = found.copy()
-    assert _in_metres(metres, stamps, notes) is metres
-    assert len(notes) == 2
-    readings_only = np.column_stack([values[:, :-6], found[:, -6:]])
-    np.testing.assert_allclose(_in_metres(readings_only, stamps, notes), found)
+    readings = np.random.default_rng(2).uniform(900.0, 4000.0, (20, 30))
+    poses = np.arange(20)[:, None] * [200.0, 100.0, 0.01]
+    in_metres = poses * [1e-3, 1e-3, 1.0]
+    both = log_of(poses, readings=readings)
+    np.testing.assert_allclose(both.ranges, 1e-3 * readings, rtol=1e-6)
+    np.testing.assert_allclose(both.T_odom_base.xyt, in_metres)
+    assert len(told(both, "read as millimetres")) == 2
+    neither = log_of(in_metres, readings=1e-3 * readings)
+    assert told(neither, "millimetres") == []
+    only_readings = log_of(in_metres, readings=readings)
+    assert len(told(only_readings, "readings exceed any lidar's range; read as millimetres")) == 1
+    for same in (neither, only_readings):
+        np.testing.assert_allclose(same.ranges, both.ranges, rtol=1e-6)
+        np.testing.assert_allclose(same.T_odom_base.xyt, in_metres)
 
 
 def test_the_laser_sits_where_the_poses_say_or_else_the_parameter():
     rng = np.random.default_rng(3)
     base = SE2(rng.normal(size=(9, 3)))
-    notes = []
-    fixed = _laser_pose(base, base @ SE2.from_xyt(0.12345, -0.05, 0.3), {}, notes)
-    np.testing.assert_allclose(fixed.xyt, [0.1234, -0.05, 0.3], atol=6e-5)
-    params = {b"robot_frontlaser_offset": b"0.27"}
-    np.testing.assert_array_equal(_laser_pose(base, base, params, notes).xyt, [0.27, 0.0, 0.0])
-    assert notes == []
-    loose = base @ SE2.from_xyt(rng.normal(0.0, 0.1, 9), np.zeros(9), np.zeros(9))
-    np.testing.assert_array_equal(_laser_pose(base, loose, params, notes).xyt, [0.27, 0.0, 0.0])
-    assert notes == ["laser and robot poses are not rigidly linked; laser taken 0.27 m ahead of the robot"]
-    for bad in ({}, {b"robot_frontlaser_offset": b"x"}):
-        np.testing.assert_array_equal(_laser_pose(base, base, bad, notes).xyt, [0.0, 0.0, 0.0])
+    fixed = log_of(base.xyt, poses_lidar=(base @ SE2.from_xyt(0.12345, -0.05, 0.3)).xyt)
+    np.testing.assert_allclose(fixed.T_base_lidar.xyt, [0.1234, -0.05, 0.3], atol=6e-5)
+    params = [("robot_frontlaser_offset", "0.27")]
+    same = log_of(base.xyt, params=params)
+    np.testing.assert_array_equal(same.T_base_lidar.xyt, [0.27, 0.0, 0.0])
+    assert told(same, "laser taken") + told(fixed, "laser taken") == []
+    shaken = base @ SE2.from_xyt(rng.normal(0.0, 0.1, 9), np.zeros(9), np.zeros(9))
+    loose = log_of(base.xyt, poses_lidar=shaken.xyt, params=params)
+    np.testing.assert_array_equal(loose.T_base_lidar.xyt, [0.27, 0.0, 0.0])
+    note = "laser and robot poses are not rigidly linked; laser taken 0.27 m ahead of the robot"
+    assert told(loose, "laser taken") == [note]
+    for bad in ((), [("robot_frontlaser_offset", "x")]):
+        np.testing.assert_array_equal(log_of(base.xyt, params=bad).T_base_lidar.xyt, [0.0, 0.0, 0.0])
 
 
-def test_the_period_is_the_usual_step_forwards():
-    assert _period(np.array([0, 2, 4, 3, 3, 3, 3, 5]) * 10**8) == pytest.approx(0.2)
-    assert _period(np.array([0, 0, 0, 5, 5, 5, 5]) * 10**9) == pytest.approx(5.0)
-    assert _period(np.array([7, 7])) == 0.0
-    assert _period(np.array([7])) == 0.0
+@pytest.mark.parametrize(
+    ("stamps", "period"),
+    [
+        (["0", "0.2", "0.4", "0.3", "0.3", "0.3", "0.3", "0.5"], 0.2),
+        ([0, 0, 0, 5, 5, 5, 5], 5.0),
+        ([7, 7], 0.0),
+        ([7], 0.0),
+    ],
+)
+def test_the_period_is_the_usual_step_forwards(stamps, period):
+    assert log_of(np.zeros((len(stamps), 3)), stamps=stamps).lidar.scan_time == pytest.approx(period)
 
 
 GOOD = b"FLASER 3 1 2 3 0.1 0 0 0.2 0.3 0.4 5.25 host 1.0"

@@ -88,7 +88,7 @@ def ended(process, said=""):
     return found[0] if len(found) == 1 else found, hits, numbas
 
 
-def files(tree, ending):
+def kernel_files(tree, ending):
     return sorted((tree / "kept/kernels").rglob(f"outer.twice*.{ending}"))
 
 
@@ -150,7 +150,7 @@ def test_every_kernel_of_ours_is_kept():
 @pytest.mark.parametrize("damage", [lambda c: c[:-1], lambda c: b"x" + c[1:]])
 def test_damaged_code_is_compiled_again(tree, ending, damage):
     assert call(tree) == (4.0, 0)
-    (file,) = files(tree, ending)
+    (file,) = kernel_files(tree, ending)
     file.write_bytes(damage(file.read_bytes()))
     assert call(tree) == (4.0, 0)
     assert call(tree) == (4.0, 1)
@@ -160,7 +160,7 @@ def test_damaged_code_is_compiled_again(tree, ending, damage):
 def test_an_index_that_names_the_code_of_other_types_is_seen(tree):
     """As when two processes write at once what they compiled for different types."""
     assert call(tree, "float") == (4.0, 0)
-    (file,) = files(tree, "nbc")
+    (file,) = kernel_files(tree, "nbc")
     floats = file.read_bytes()
     shutil.rmtree(tree / "kept")
     assert call(tree, "int") == (4, 0)
@@ -188,7 +188,7 @@ def test_where_nothing_can_be_written_it_is_said_once_and_the_kernels_run(tree):
 @pytest.mark.slow
 def test_on_a_full_disk_the_kernels_run(tree):
     assert call(tree, "full") == (4.0, 0)
-    assert not files(tree, "nb?")
+    assert not kernel_files(tree, "nb?")
     assert call(tree) == (4.0, 0)
 
 

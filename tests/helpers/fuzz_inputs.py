@@ -114,8 +114,14 @@ def words_broken(rng, text):
     return "\n".join(" ".join(line) for line in lines)
 
 
+class Unbroken(random.Random):
+    """The choices of a variant of which nothing is broken."""
+
+
 def broken(rng, path):
     """Break one file in place, in the way of its kind or byte by byte."""
+    if isinstance(rng, Unbroken):
+        return
     data = path.read_bytes()
     structured = rng.random() < 0.75
     if structured and path.suffix in (".yaml", ".json") and data:
@@ -157,7 +163,7 @@ class Uncounted(Listener):
 
 
 @contextlib.contextmanager
-def limits(seconds, memory_bytes=6 << 30):
+def limits(seconds, waiting, memory_bytes=6 << 30):
     """Stop what computes for longer, or waits for ever, by TooSlow; too much memory is a MemoryError."""
 
     def stop(number, frame):
@@ -168,7 +174,7 @@ def limits(seconds, memory_bytes=6 << 30):
     before = {number: signal.signal(number, stop) for number in (signal.SIGVTALRM, signal.SIGALRM)}
     resource.setrlimit(resource.RLIMIT_AS, (used + memory_bytes, hard))
     signal.setitimer(signal.ITIMER_VIRTUAL, seconds, AGAIN)
-    signal.setitimer(signal.ITIMER_REAL, WAITING * seconds, AGAIN)
+    signal.setitimer(signal.ITIMER_REAL, waiting * seconds, AGAIN)
     try:
         with install_listener("numba:compile", Uncounted()):
             yield
@@ -180,15 +186,19 @@ def limits(seconds, memory_bytes=6 << 30):
             signal.signal(number, handler)
 
 
-def outcome(words, seconds=5.0):
+def outcome(words, seconds=5.0, *, command=main, waiting=WAITING):
     """Exit code of a command line and all it said on stderr; a traceback's code is None, TooSlow's -1."""
     with tempfile.TemporaryFile("w+") as said, contextlib.redirect_stderr(said):
         saved = os.dup(2)
         os.dup2(said.fileno(), 2)
         code = None
         try:
-            with limits(seconds), open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-                code = main([str(word) for word in words])
+            with (
+                limits(seconds, waiting),
+                open(os.devnull, "w") as nowhere,
+                contextlib.redirect_stdout(nowhere),
+            ):
+                code = command([str(word) for word in words])
         except TooSlow:
             code = -1
         except (Exception, SystemExit):
@@ -201,12 +211,12 @@ def outcome(words, seconds=5.0):
         return code, said.read()
 
 
-def complaint(words, place, seconds=5.0):
+def complaint(words, place, seconds=5.0, **how):
     """What is wrong with how a command line ended that writes below the empty folder `place`; "" is well.
 
     In time, exit 0, 1 or 2; with 2 one line on stderr that names the program, and `place` still empty.
     """
-    code, text = outcome(words, seconds)
+    code, text = outcome(words, seconds, **how)
     if code == -1:
         return f"it computes for more than {seconds:g} s, or waits for ever"
     if code not in (0, 1, 2) or "Traceback" in text or "Warning: " in text:

@@ -230,8 +230,8 @@ def test_dwa_turns_round_rather_than_driving_a_long_way_backwards():
     share = {}
     for bias in (1.5, 0.0):
         controller = Dwa(fast, DwaConfig(), DT)
-        assert controller._weights.back == 1.5
-        controller._weights = controller._weights._replace(back=bias)
+        assert controller.weights.back == 1.5
+        controller.weights = controller.weights._replace(back=bias)
         poses, commands = follow(controller, SE2.from_xyt(5.0, 4.4, 0.0), path, 60.0, costmap)
         share[bias] = float((commands[:, 0] < -0.1).mean())
         assert np.linalg.norm(poses[-1, :2] - [1.0, 4.4]) < 0.05

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.help_text import options
+from tests.helpers.help_text import shown as shown_help
 from tests.helpers.report_fakes import fake_record, unrendered
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, sha256_tree
-from turtlebag.pipeline.cli.arguments import map_file
-from turtlebag.pipeline.cli.main import build_parser, main
+from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.reports.compare import command_of
 from turtlebag.reports.content import collision_count, verdict
@@ -270,15 +271,21 @@ def test_a_recipe_does_not_depend_on_how_a_stage_is_named_or_from_where(read, fi
     assert steps[1].command == f"turtlebag map {read.replace('../rec', 'w/record')} --out w/map"
 
 
+PLACES = ("FILE", "DIR", "MAP", "BAG", "MAP_DIR", "INPUT")
+
+
 def test_every_option_that_takes_a_path_is_known_to_the_recipe():
     for verb in ("record", "teleop", "studio", "map", "localise", "navigate", "plan"):
-        verbs = next(a for a in build_parser(verb)._actions if a.dest == "verb")
-        actions = verbs.choices[verb]._actions
-        paths = {a.option_strings[-1] for a in actions if a.option_strings and a.type in (Path, map_file)}
-        assert paths <= set(TAKE_A_PATH), verb
-        if any(not a.option_strings for a in actions):
-            flags = {word for a in actions if a.nargs == 0 for word in a.option_strings}
-            assert flags - {"-h", "--help"} <= set(FLAGS), verb
+        values = options(verb)
+        paths = {
+            name
+            for name, value in values.items()
+            if value in ("FILE", "DIR", "MAP", "BAG", "MAP_DIR", "INPUT")
+        }
+        assert {"--config", "--out"} <= paths <= set(TAKE_A_PATH), verb
+        if "positional arguments" in shown_help(verb):
+            flags = {name for name, value in values.items() if not value}
+            assert {"--force"} <= flags - {"-h", "--help"} <= set(FLAGS), verb
 
 
 def test_collisions_count_both_kinds_and_plain_numbers():

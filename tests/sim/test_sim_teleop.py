@@ -54,12 +54,6 @@ def test_built_in_scripts_load_in_every_kind_of_world():
         next(commands(load_script(name), load_world(world), BURGER, 1))
 
 
-def test_a_step_without_one_action_is_refused_with_the_actions_there_are(tmp_path):
-    (tmp_path / "idle.yaml").write_text("name: idle\nsteps:\n  - {wait: 1, spin: 1}\n")
-    with pytest.raises(InputError, match=r"one action \(drive, turn_deg, spin, wait, "):
-        load_script(str(tmp_path / "idle.yaml"))
-
-
 def test_steps_that_take_no_time_are_over_however_often_they_are_repeated():
     for_ever = {"repeat": 10**5, "steps": [{"wait": 0.0}, {"repeat": 10**5, "steps": [{"through": []}]}]}
     driver = commands(script(for_ever), load_world("empty"), BURGER, 1)
@@ -153,11 +147,6 @@ def test_where_nothing_stands_the_tour_is_a_square():
     assert np.ptp(square(route), axis=0) == pytest.approx([2.0, 2.0])
     with pytest.raises(InputError, match="no wall"):
         drive(script({"wall_follow": 5.0}), world="empty")
-
-
-def test_an_unknown_route_names_the_known():
-    with pytest.raises(InputError, match="perimeter_then_rooms"):
-        commands(script({"route": "scenic"}), load_world("turtlebot3_world"), BURGER, 1)
 
 
 @pytest.mark.slow

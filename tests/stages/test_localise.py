@@ -70,8 +70,7 @@ def test_a_log_is_localised(room_log, tmp_path, start):
 
 
 @pytest.mark.slow
-def test_on_the_map_of_another_place_it_is_lost_and_says_so(room_log, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("turtlebag.pipeline.localisation.global_search.CANDIDATES", 4000)
+def test_on_the_map_of_another_place_it_is_lost_and_says_so(room_log, tmp_path, capsys):
     grid = l_shaped_room().grid()
     rng = np.random.default_rng(5)
     grid.cells[:] = FREE

@@ -1,4 +1,5 @@
 import itertools
+import json
 import math
 
 import numpy as np
@@ -15,7 +16,7 @@ from turtlebag.pipeline.stages import plan as stage
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
 from turtlebag.planners.grid_distance import descend, grid_distance
-from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, _with_start, solve
+from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solution_from, solve
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut
 from turtlebag.sim.robots import load_robot
 
@@ -276,19 +277,19 @@ class Line:
     [((1.0, 2.0, 3.0), [1.0, 2.0, 3.0]), ((2.0, 3.0), [1.0, 2.0, 3.0]), ((6.0, 7.0), None)],
 )
 def test_a_solution_without_its_start_gets_it_where_it_can_be_joined(states, whole):
-    path = _with_start(Line, Line(*states), 1.0)
+    path = solution_from(1.0, Line, Line(*states))
     assert (None if path is None else path.states) == whole
 
 
-def test_a_comparison_asks_each_planner_once(tmp_path, monkeypatch):
-    asked = []
-
-    def searched(costmap, query, config):
-        asked.append(config.plan.name)
-        return None, "none", 0.0
-
-    monkeypatch.setattr(stage, "search", searched)
+def test_a_comparison_asks_each_planner_once(tmp_path):
+    """The one that is chosen, too: its time is that of the path which is written."""
     save_map(room(), tmp_path)
     query = stage.Query(load_robot("burger"), SE2.from_xyt(1.0, 1.0, 0.0), SE2.from_xyt(1.2, 1.0, 0.0))
-    assert stage.plan(tmp_path / "map.yaml", query, Output(tmp_path / "out"), compare=True) == 1
+    config = stage.PlanStageConfig(plan=PlanConfig(ompl=OmplConfig(iterations=50)))
+    out = Output(tmp_path / "out")
+    assert stage.plan(tmp_path / "map.yaml", query, out, config=config, compare=True) == 0
+    asked = [found["planner"] for found in json.loads((out.folder / "metrics.json").read_text())["planners"]]
     assert len(asked) == len(set(asked)) > 10
+    told = json.loads((out.folder / "manifest.json").read_text())
+    assert set(told["planners_s"]) == set(asked)
+    assert told["planners_s"][config.plan.name] == told["planning_s"]

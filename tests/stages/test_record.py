@@ -18,8 +18,9 @@ from turtlebag.datasets.output_rules import MARKER
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.stages.record import Scene, record
+from turtlebag.pipeline.stages.record import Scene, record, record_drive
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
@@ -105,17 +106,16 @@ def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, monkeypatch, number, code):
+def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, number, code):
     out = tmp_path / "rec"
-    step, steps = Simulator.step, itertools.count(1)
 
-    def interrupted(*given):
-        if next(steps) == 30:
-            signal.raise_signal(number)
-        return step(*given)
+    def driver():
+        for step in itertools.count():
+            if step == 30:
+                signal.raise_signal(number)
+            yield Twist(0.1, 0.0)
 
-    monkeypatch.setattr(Simulator, "step", interrupted)
-    assert record(Scene.load("turtlebot3_world"), "tour", Output(out)) == code
+    assert record_drive(Scene.load("turtlebot3_world"), driver(), "ahead", Output(out)) == code
     log = load_recording(out)
     assert len(log) == len(load_tum(out / "truth" / "trajectory.tum")) > 0
     assert log.duration() < 2.0

@@ -115,7 +115,7 @@ class FakeSession:
 class Served:
     """A server of a session, in a thread; leaving the block stops it as Ctrl-C does."""
 
-    def __init__(self, session, host=LOOPBACK):
+    def __init__(self, session, host=LOOPBACK, **how):
         self.session, self.failure = session, None
         sockets = listen(host, 0)
         self.access = Access(new_token(), host, sockets[0].getsockname()[1])
@@ -124,7 +124,9 @@ class Served:
         def run():
             try:
                 asyncio.run(
-                    serve(session, self.access, sockets, interrupted=self._interrupted, ready=ready.set)
+                    serve(
+                        session, self.access, sockets, interrupted=self._interrupted, ready=ready.set, **how
+                    )
                 )
             except BaseException as error:
                 self.failure = error

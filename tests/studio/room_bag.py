@@ -3,10 +3,13 @@
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.types import Odometry, Scan, Twist
+from turtlebag.pipeline.slam.slam import SlamConfig
 
 TRUE = around_the_room(150)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
 LAST = len(LOG) - 1
+WITH_LOOPS = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
+"""In a room this small the refinement would do without loops."""
 
 
 def write_bag(folder):

@@ -5,7 +5,6 @@ import queue
 import pytest
 
 from tests.studio.fakes import PERIOD_NS, FakeSession
-from turtlebag.pipeline.studio import session_thread
 from turtlebag.pipeline.studio.inputs import Button, Speed
 from turtlebag.pipeline.studio.pace import LATE_S, Pace, Pacer
 from turtlebag.pipeline.studio.session_thread import SessionThread
@@ -94,8 +93,7 @@ def test_a_short_delay_is_caught_up_with_and_a_long_one_given_up(clock):
     assert clock.over(1.0) == pytest.approx(32, abs=1)
 
 
-def test_a_step_at_the_end_of_a_bag_is_not_kept_for_later(monkeypatch):
-    monkeypatch.setattr(session_thread, "IDLE_S", 0.001)
+def test_a_step_at_the_end_of_a_bag_is_not_kept_for_later():
     session, shown = FakeSession(), queue.Queue()
     thread = SessionThread(session, lambda view, pace: shown.put(pace))
 

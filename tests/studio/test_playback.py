@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.studio.room_bag import LAST, LOG, write_bag
+from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.slam.loop_edits import load_edits
-from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output
-from turtlebag.pipeline.studio import inputs, playback
+from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.setup import BagSetup
 
@@ -26,6 +25,12 @@ def bag(tmp_path_factory):
 @pytest.fixture
 def played(bag, tmp_path):
     with Playback(BagSetup(bag), tmp_path, lambda line: None) as one:
+        yield one
+
+
+@pytest.fixture
+def with_loops(bag, tmp_path):
+    with Playback(BagSetup(bag), tmp_path, lambda line: None, WITH_LOOPS) as one:
         yield one
 
 
@@ -87,12 +92,8 @@ def test_the_online_mapper_maps_from_where_the_bag_stands(played):
 
 
 @pytest.mark.slow
-def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command(
-    bag, played, tmp_path, monkeypatch
-):
-    # in a room this small the refinement would do without loops
-    config = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
-    monkeypatch.setattr(playback, "SlamConfig", lambda: config)
+def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command(bag, with_loops, tmp_path):
+    played = with_loops
     assert "good map of 150 scans" in played.apply(inputs.Plain(do="map_build"))
     view = played.view()
     loops = view.graph.edges[view.graph.edges[:, 2] == 1]

@@ -2,6 +2,8 @@
 
 import errno
 import math
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,6 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.inputs import KNOWN, parse_input
-from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
 
@@ -28,22 +29,35 @@ def room_map(tmp_path_factory):
     return save_map(OccupancyGrid(cells, 0.05, SE2.from_xyt(-2.0, -2.0, 0.0)), folder, "room")
 
 
+class Refused(Person):
+    """Someone whose session writes into a folder of its own."""
+
+    def __init__(self, session, folder):
+        super().__init__(session)
+        self.folder = folder
+
+
+@contextmanager
+def session_of(setup, folder):
+    with Session(setup, folder, lambda line: None) as session:
+        yield Refused(session, folder)
+
+
 @pytest.fixture(scope="module")
 def without_map(tmp_path_factory):
-    with Session(StudioSetup("empty"), tmp_path_factory.mktemp("session"), lambda line: None) as session:
-        yield Person(session)
+    with session_of(StudioSetup("empty"), tmp_path_factory.mktemp("session")) as person:
+        yield person
 
 
 @pytest.fixture(scope="module")
 def with_map(tmp_path_factory, room_map):
-    setup = StudioSetup("empty", map_path=room_map)
-    with Session(setup, tmp_path_factory.mktemp("session"), lambda line: None) as session:
-        yield Person(session)
+    with session_of(StudioSetup("empty", map_path=room_map), tmp_path_factory.mktemp("session")) as person:
+        yield person
 
 
 def refused(person, do, **fields):
     """The line; the session's file and its log are as before."""
-    file = person.session._folder / "session.yaml"
+    file = person.folder / "session.yaml"
     before, view = file.read_text(), person.view
     with pytest.raises(InputError) as error:
         person.do(do, **fields)
@@ -118,18 +132,17 @@ def test_a_full_disk_is_named_by_the_folder(without_map, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Library, "save_waypoints", full)
+    monkeypatch.setattr(Path, "write_text", full)
     said = refused(without_map, "waypoints_save", name="a", waypoints=[{"pose": [0, 0, 0]}])
-    assert said == f"waypoints_save: {without_map.session._folder}: No space left on device"
+    assert said == f"waypoints_save: {without_map.folder}: No space left on device"
 
 
 def test_nothing_after_the_end(tmp_path):
-    with Session(StudioSetup("empty"), tmp_path, lambda line: None) as session:
-        person = Person(session)
+    with session_of(StudioSetup("empty"), tmp_path) as person:
         person.do("end")
-        stamp = session.stamp_ns
+        stamp = person.session.stamp_ns
         person.wait(0.2)
-        assert session.stamp_ns == stamp
+        assert person.session.stamp_ns == stamp
         assert "the session is over" in refused(person, "avoid")
         assert "the session is over" in refused(person, "drive", v=0.1)
 

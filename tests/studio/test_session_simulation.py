@@ -101,9 +101,7 @@ def test_the_plan_keeps_out_of_what_was_drawn_which_is_saved_with_the_map(tmp_pa
     assert np.array_equal(load_map(tmp_path / "live/maps/kept.yaml").cells, load_map(true_map).cells)
 
 
-def test_a_robot_that_may_be_anywhere_finds_itself_once_it_is_sent_somewhere(
-    tmp_path, true_map, few_candidates
-):
+def test_a_robot_that_may_be_anywhere_finds_itself_once_it_is_sent_somewhere(tmp_path, true_map):
     """It turns to and fro first, as it was told no pose."""
     with at_the_studio(tmp_path / "live", map_path=true_map) as person:
         person.do("localise_global")

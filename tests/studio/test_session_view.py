@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from tests.studio.walk import Person, at_the_studio
-from turtlebag.datasets.bags import cdr
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.studio.inputs import Save
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import CostLayer, MapLayer
@@ -120,17 +118,3 @@ def test_layers_lie_where_the_robot_is(tmp_path):
         assert len(np.unique(view.graph.edges, axis=0)) == len(view.graph.edges), "a step drawn twice"
         assert view.sure > 0.5
         assert np.linalg.norm(view.graph.nodes[-1, :2] - view.T_world_base.xy) < 1.0
-
-
-def test_nothing_is_serialised_while_no_bag_is_open(tmp_path, monkeypatch):
-    made = []
-    for kind in ("odometry", "imu", "laser_scan"):
-        make = getattr(cdr, kind)
-        monkeypatch.setattr(cdr, kind, lambda *fields, make=make: made.append(make) or make(*fields))
-    with Session(StudioSetup("empty", "burger", 1), tmp_path, lambda line: None) as session:
-        for _ in range(10):
-            session.tick()
-        assert made == []
-        session.apply(Save(do="record", name="one"))
-        session.tick()
-        assert made != []

@@ -10,7 +10,6 @@ from tornado.iostream import IOStream
 
 from tests.studio.fakes import FakeSession, Served, connect, run
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio import server
 from turtlebag.pipeline.studio.access import Access, is_loopback, listen
 
 
@@ -24,10 +23,9 @@ def served(tmp_path_factory):
     (folder / "secret.js").write_text("secret")
     (folder / "static/link.js").symlink_to(folder / "secret.js")
     (folder / "static/notes.txt").write_text("not a part of the page")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(server, "PAGE", folder / "static")
-        with Served(FakeSession(cells=np.zeros((64, 64), dtype=np.int8))) as running:
-            yield running
+    session = FakeSession(cells=np.zeros((64, 64), dtype=np.int8))
+    with Served(session, page=folder / "static") as running:
+        yield running
     assert running.failure is None
 
 

@@ -6,10 +6,9 @@ import pytest
 from tests.helpers.browser import find_browser
 from tests.studio.fakes import Served
 from tests.studio.page import click, drag, on_screen, open_page, shown_text, until
-from tests.studio.room_bag import LAST, LOG, write_bag
+from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.loop_edits import load_edits
-from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.setup import BagSetup
 
@@ -23,12 +22,9 @@ pytestmark = [
 
 
 @pytest.fixture
-def playback(tmp_path, monkeypatch):
-    # in a room this small the refinement would do without loops
-    config = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
-    monkeypatch.setattr("turtlebag.pipeline.studio.playback.SlamConfig", lambda: config)
+def playback(tmp_path):
     bag = write_bag(tmp_path / "bag")
-    with Playback(BagSetup(bag), tmp_path, lambda line: None) as playback:
+    with Playback(BagSetup(bag), tmp_path, lambda line: None, WITH_LOOPS) as playback:
         yield playback
 
 

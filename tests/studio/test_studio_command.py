@@ -1,13 +1,12 @@
-"""`turtlebag studio` as a process, with the real simulator: the tutorial over the socket alone."""
+"""`turtlebag studio` as a command, with the real simulator: the tutorial over the socket alone."""
 
-import os
+import io
 import re
 import signal
 import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from threading import Timer
 
 import pytest
 import yaml
@@ -125,21 +124,62 @@ def test_a_termination_ends_the_session_and_tells_its_viewers(tmp_path):
     assert (tmp_path / "mine/bags/open/metadata.yaml").exists()
 
 
-def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path, monkeypatch, capsys):
-    async def end(url):
+class Printed(io.StringIO):
+    """Standard output, and someone who opens the page that is printed there and ends the session."""
+
+    def __init__(self):
+        super().__init__()
+        self.ended = []
+        self._threads = ThreadPoolExecutor()
+
+    def write(self, text):
+        if text.startswith("http"):
+            self.ended.append(self._threads.submit(run, self._end(text.strip())))
+        return super().write(text)
+
+    async def _end(self, url):
         client = await connect(url)
         client.ask("end")
         with pytest.raises(EOFError, match="the session has ended"):
             await client.until(lambda p: False)
         return url
 
-    with ThreadPoolExecutor() as threads:
-        page = []
-        monkeypatch.setenv("DISPLAY", ":0")
-        monkeypatch.setattr("webbrowser.open", lambda url: page.append(threads.submit(run, end(url))))
-        assert main(["studio", "--world", "empty", "--out", str(tmp_path / "mine"), "-q"]) == 0
-        assert capsys.readouterr() == (f"{page[0].result()}\n", "")
+
+@pytest.fixture
+def opened(monkeypatch):
+    """What a browser was opened with, where there is no screen."""
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    return opened
+
+
+def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path, monkeypatch, capsys, opened):
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(sys, "stdout", printed := Printed())
+    assert main(["studio", "--world", "empty", "--out", str(tmp_path / "mine"), "-q"]) == 0
+    (ended,) = printed.ended
+    assert printed.getvalue() == f"{ended.result()}\n"
+    assert capsys.readouterr().err == ""
+    assert opened == [ended.result()]
     assert (tmp_path / "mine/manifest.json").exists()
+
+
+def test_without_a_screen_no_browser_is_opened_and_the_first_free_folder_is_taken(
+    tmp_path, monkeypatch, capsys, opened
+):
+    """On an address of the whole machine, which is said to be for everybody."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data/studio/maze_1-waffle_pi-4").mkdir(parents=True)
+    (tmp_path / "data/studio/maze_1-waffle_pi-4-2.partial").mkdir()
+    words = ("--world", "maze:1", "--robot", "waffle_pi", "--seed", "4", "--host", "0.0.0.0")
+    monkeypatch.setattr(sys, "stdout", Printed())
+    assert main(["studio", *words]) == 0
+    assert opened == []
+    assert (tmp_path / "data/studio/maze_1-waffle_pi-4-3/manifest.json").exists()
+    assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -182,30 +222,3 @@ def test_a_session_that_cannot_go_on_is_kept_beside_the_first_free_folder(tmp_pa
         f"(`turtlebag studio --replay {aside}/session.yaml --out DIR` makes a finished output of it)"
     )
     assert load_session(tmp_path / aside / "session.yaml").until_ns > 2e9
-
-
-def interrupted_after(seconds, *options):
-    """A session that Ctrl-C ends."""
-    timer = Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    assert main(["studio", "--world", "empty", *options]) == 130
-    timer.join()
-
-
-def test_another_address_than_this_machine_s_own_says_what_that_means(tmp_path, capsys):
-    interrupted_after(1.5, "--no-browser", "--host", "0.0.0.0", "--out", str(tmp_path / "out"))
-    assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
-
-
-def test_a_browser_is_opened_only_where_there_is_a_screen(tmp_path, monkeypatch, capsys):
-    opened = []
-    monkeypatch.setattr("webbrowser.open", opened.append)
-    monkeypatch.chdir(tmp_path)
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
-        monkeypatch.delenv(name, raising=False)
-    interrupted_after(1.5)
-    assert opened == []
-    capsys.readouterr()
-    monkeypatch.setenv("DISPLAY", ":0")
-    interrupted_after(1.5)
-    assert opened == [capsys.readouterr().out.strip()]

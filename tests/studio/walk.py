@@ -40,7 +40,7 @@ class Person:
     def until_done(self, most_s):
         """Until the task is over; how long that took [s], None when it took too long."""
         for tick in range(round(most_s * 30)):
-            if self.session._run.pilot.task is None:
+            if not self.view.task:
                 return tick / 30
             self.session.tick()
         return None
