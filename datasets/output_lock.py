@@ -120,12 +120,13 @@ class OutputLock:
                 (self.partial / MARKER).unlink()
             said = error if isinstance(error, InputError) else f"{self.out}: {error.strerror}"
             raise InputError(f"{said}; the result is kept in {file or self.partial}") from None
-        for path in _left_over(self.place, old):
-            try:
+        try:
+            for path in _left_over(self.place, old):
                 _empty(path, but=MANIFEST)  # last: what a kill leaves is known again
                 shutil.rmtree(path)
-            except OSError as error:
-                log.warning("%s: what was replaced cannot be removed (%s)", path, error.strerror)
+        except OSError as error:
+            if old is not None:
+                log.warning("%s: what was replaced cannot be removed (%s)", old, error.strerror)
 
     def release(self) -> None:
         """Release the lock, and remove the folder if nothing is in it that a killed process left."""
@@ -327,12 +328,19 @@ def _content(folder: Path) -> list[Path]:
     return [path for path in folder.iterdir() if path.name not in (MARKER, *JUNK)]
 
 
-def _left_over(place: Path, old: Path | None) -> list[Path]:
+def _left_over(place: Path, old: Path | None) -> Iterator[Path]:
     """What was replaced, now and by processes that were killed before they removed it."""
+    if old is not None:
+        yield old
     earlier = re.compile(re.escape(place.name) + r"\.old-[0-9a-f]{8}")
-    found = [path for path in place.parent.iterdir() if earlier.fullmatch(path.name) and path != old]
-    ours = [path for path in found if path.is_dir() and not path.is_symlink() and not any(strangers(path))]
-    return ours if old is None else [old, *ours]
+    for path in place.parent.iterdir():
+        if (
+            earlier.fullmatch(path.name)
+            and path.is_dir()
+            and not path.is_symlink()
+            and not any(strangers(path))
+        ):
+            yield path
 
 
 def _empty(folder: Path, *, but: str) -> None:
