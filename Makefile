@@ -97,7 +97,7 @@ $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports dat
 DEMO_AGAIN = rm -rf $(addprefix data/,$(DEMO)) data/reports/demo && $(MAKE) --no-print-directory demo
 DEMO_HASHES = cd data && find $(DEMO) reports/demo -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
 
-verify: $(READY) ## run the demo twice and compare every file, then recompute every number of its report
+verify: $(READY) ## run the demo twice and compare every file, then verify its report
 	mkdir -p data/verify
 	$(DEMO_AGAIN) > data/verify/first.log
 	$(DEMO_HASHES) > verify/first.sha256
@@ -135,8 +135,8 @@ bench-front-ends: $(READY) ## all logs x all front ends x all seeds, a campaign 
 bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question to a million rows
 	$(PY) -m benchmarks.sweep
 
-mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)
-	$(PY) -m tests.mutants --seed $(SEED) $(if $(N),--count $(N))
+mutants: $(READY) ## mutation tests: small mistakes in the code, and how many a test notices   (SEED, N mutants)
+	$(PY) -m tests.mutants $(SEED) $(or $(N),20)
 
 # Kernels are measured where they run as plain Python: in the quick tests that call them, compared with a reference.
 KERNEL_TESTS := $(wildcard tests/*/test_*_kernels.py) $(addprefix tests/,$(addsuffix .py, \
