@@ -64,7 +64,6 @@ ALLOWED: dict[str, int] = {
     # the other rooms
     "cli/test_config.py": 1,
     "cli/test_limits.py": 1,
-    "mutants/test_mutants.py": 2,
     "stages/test_sweep.py": 4,
     "stages/test_sweep_statistics.py": 1,
 }  # fmt: skip
