@@ -1,8 +1,5 @@
 """`turtlebag bag`: what the verbs print and how they end."""
 
-import subprocess
-import sys
-
 import pytest
 from rosbags.highlevel import AnyReader
 
@@ -25,17 +22,6 @@ def test_info_prints_each_topic_with_count_and_rate(drive, capsys):
     assert lines["/scan"][1:4] == ["sensor_msgs/msg/LaserScan", "20", "5.00"]
     assert lines["/odom"][2:4] == ["120", "30.00"]
     assert lines["seed"] == ["seed", "7"]
-
-
-def test_info_loads_nothing_that_it_does_not_need(drive):
-    program = (
-        "import sys; from turtlebag.pipeline.cli.main import main; main(sys.argv[1:]); "
-        "slow = {'rich', 'numba', 'turtlebag.datasets.outputs', 'importlib.metadata'}; "
-        "print(sorted(slow & set(sys.modules)))"
-    )
-    command = [sys.executable, "-c", program, "bag", "info", str(drive)]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert said.splitlines()[-1] == "[]"
 
 
 def test_recover_makes_a_whole_bag_of_an_unfinished_one(drive, tmp_path, capsys):
