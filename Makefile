@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants pytest study-advice study-ablation study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -97,7 +97,7 @@ $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports dat
 DEMO_AGAIN = rm -rf $(addprefix data/,$(DEMO)) data/reports/demo && $(MAKE) --no-print-directory demo
 DEMO_HASHES = cd data && find $(DEMO) reports/demo -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
 
-verify: $(READY) ## run the demo twice and compare every file, then recompute every number of its report
+verify: $(READY) ## run the demo twice and compare every file, then verify its report
 	mkdir -p data/verify
 	$(DEMO_AGAIN) > data/verify/first.log
 	$(DEMO_HASHES) > verify/first.sha256
@@ -135,8 +135,24 @@ bench-front-ends: $(READY) ## all logs x all front ends x all seeds, a campaign 
 bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question to a million rows
 	$(PY) -m benchmarks.sweep
 
-mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)
-	$(PY) -m tests.mutants --seed $(SEED) $(if $(N),--count $(N))
+mutants: $(READY) ## mutation tests: small mistakes in the code, and how many a test notices   (SEED, N mutants)
+	$(PY) -m tests.mutants $(SEED) $(or $(N),20)
+
+# Kernels are measured where they run as plain Python: in the quick tests that call them, compared with a reference.
+KERNEL_TESTS := $(wildcard tests/*/test_*_kernels.py) $(addprefix tests/,$(addsuffix .py, \
+  datasets/test_deskew localisation/test_localisation_fields localisation/test_localisation_parts \
+  localisation/test_localisation_surfaces localisation/test_localisation_walls planners/test_costmap \
+  planners/test_footprint_motions planners/test_obstacle_layer planners/test_plan_footprint planners/test_plan_lattice \
+  reports/test_seen_area sim/test_sim_lidar sim/test_sim_lidar3d slam/test_slam_lines slam/test_slam_matching \
+  slam/test_slam_ranges slam3d/test_slam3d_parts))
+COVERAGE = OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(PY) -m coverage run -m pytest
+coverage: $(READY) ## lines and branches that the tests reach, by file, also in data/coverage/table.txt
+	rm -rf data/coverage && mkdir -p data/coverage
+	-$(COVERAGE) -n 3 --dist loadfile --no-loadscope-reorder
+	-NUMBA_DISABLE_JIT=1 $(COVERAGE) -n 3 --dist loadfile -m "not slow" $(KERNEL_TESTS)
+	$(PY) -m coverage combine --quiet
+	$(PY) -m coverage report > data/coverage/table.txt
+	cat data/coverage/table.txt
 
 study-advice study-ablation study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*

@@ -108,17 +108,17 @@ class Suite:
     show: bool = True
 
 
-def code_of(places: tuple[str, ...]) -> str:
+def code_of(places: tuple[str, ...], root: Path = ROOT) -> str:
     """Fingerprint of the code in folders and files of the project; comments do not count."""
-    found = [path for place in places for path in (ROOT / place, *(ROOT / place).rglob("*.py"))]
+    found = [path for place in places for path in (root / place, *(root / place).rglob("*.py"))]
     files = sorted(path for path in found if path.is_file())
-    return fingerprint([(path.relative_to(ROOT).as_posix(), _bare(path)) for path in files])[:16]
+    return fingerprint([(path.relative_to(root).as_posix(), _bare(path.read_text())) for path in files])[:16]
 
 
 @cache
-def _bare(path: Path) -> str:
-    """The code of a file without comments."""
-    return ast.dump(ast.parse(path.read_text()))
+def _bare(source: str) -> str:
+    """Code without comments."""
+    return ast.dump(ast.parse(source))
 
 
 class Rows:

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import os
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from benchmarks import slam_logs as logs
 from benchmarks.runner import Suite, options, parsed, public, run
@@ -76,7 +76,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
     }
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str] | None = None, suites: Callable[[Namespace], dict[str, Suite]] = suites) -> None:
     """Measure what is asked for, print and write the tables."""
     parser = options(__doc__, "data/benchmarks/slam", "a sample that takes less than 20 minutes")
     if public("radish") is None:

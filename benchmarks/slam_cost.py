@@ -25,7 +25,7 @@ from benchmarks.slam_logs import FAR, RADISH, by_name, mapped, read
 from benchmarks.slam_scores import scored
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import UNKNOWN
-from turtlebag.datasets.kernels import folders
+from turtlebag.datasets.kernels import folder
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
@@ -94,7 +94,8 @@ def map_cost(log: Path, scratch: Path) -> Row:
 
 
 def _compiled() -> set[Path]:
-    return {file for folder in folders() for file in folder.glob("*.nbc")}
+    kept = folder()
+    return set() if kept is None else set(kept.rglob("*.nbc"))
 
 
 def growth_cases() -> list[Case]:

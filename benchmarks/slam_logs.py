@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any, get_args
@@ -98,7 +98,7 @@ def mapped(log: Known, settings: dict[str, Any] | None = None) -> tuple[SlamResu
 
     CPU seconds are those of mapping alone, with everything loaded and compiled.
     """
-    warm_up()
+    run_slam(log.with_scans(slice(60)).recording, SlamConfig())  # so that no row pays for what is compiled
     start = time.process_time()
     result = run_slam(log.recording, SlamConfig.model_validate(settings or {}))
     spent = time.process_time() - start
@@ -110,12 +110,6 @@ def mapped(log: Known, settings: dict[str, Any] | None = None) -> tuple[SlamResu
         "loops": sum(loop.accepted for loop in result.loops),
         **scored(log, result.trajectory),
     }
-
-
-@cache
-def warm_up() -> None:
-    """Compile the kernels and load the libraries, so that no row pays for it."""
-    run_slam(driven("turtlebot3_world")[0].with_scans(slice(60)).recording, SlamConfig())
 
 
 def picture(grid: OccupancyGrid, out: Path | None, *name: object) -> None:
@@ -242,8 +236,12 @@ LIDARS: dict[str, Callable[[Known], Known]] = {
 
 
 def mishap_row(log: str, lidar: str, out: Path) -> Row:
-    """A log with mishaps and one of LIDARS, against the exact truth."""
-    made = by_name(log)
+    """A log with mishaps, by its name, and one of LIDARS, against the exact truth."""
+    return lidar_row(by_name(log), log, lidar, out)
+
+
+def lidar_row(made: Known, log: str, lidar: str, out: Path) -> Row:
+    """A log as one of LIDARS hears it, against the exact truth."""
     heard = LIDARS[lidar](made)
     result, row = mapped(heard)
     picture(result.grid, out, log, lidar)

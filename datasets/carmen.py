@@ -24,6 +24,7 @@ from turtlebag.datasets.bags.plausibility import (
 )
 from turtlebag.datasets.bags.scans import Geometry, on_one_grid
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import Finding, lines_of
 from turtlebag.datasets.no_return_range import no_return_value
 from turtlebag.datasets.number_text import decimal, decimals, whole
 from turtlebag.datasets.plurals import counted
@@ -188,7 +189,9 @@ def _on_one_grid(
     lidar = LidarSpec(main.n, main.angle_min, main.increment, 0.0, FAR)
     if len(set(found)) == 1:
         return stamps, np.array(rows), lidar
-    readings, lidar = on_one_grid([row[:-6] for row in rows], found, lidar, notes)
+    findings: list[Finding] = []
+    readings, lidar = on_one_grid("", [row[:-6] for row in rows], found, lidar, findings)
+    notes += lines_of(findings)
     return stamps, np.hstack([readings, [row[-6:] for row in rows]]), lidar
 
 

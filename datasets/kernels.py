@@ -1,25 +1,23 @@
-"""Numba kernels with a cache that is keyed by everything the machine code depends on.
+"""Numba kernels, compiled once and kept in a folder that is named by all that they are made of.
 
-numba's own cache identifies a kernel only by its file: if an inlined kernel in another file changes,
-the old code is still used. Here the key is a hash of the
-kernel's own bytecode and options, of those of every kernel it calls, of the constants they read, of the
-packages, the processor and the types of the arguments. So no kernel is stale, and only affected
-kernels are compiled again.
+numba's own cache takes a kernel for fresh as long as its own file is, though a kernel of another file may be
+inlined in it. Here the folder's name is a hash of every source with kernels and of all modules that those
+import: nothing in it is ever stale, and where one of those sources is edited, all is compiled again.
 """
 
 from __future__ import annotations
 
+import hashlib
+import logging
 import os
-import stat
+import re
+import shutil
 import sys
-import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property
-from importlib.util import cache_from_source
+from functools import cache, cached_property
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 import llvmlite
@@ -36,79 +34,71 @@ with warnings.catch_warnings():
         reason = str(error).partition("\n")[0]
         raise InputError(f"numba: {reason} (set by a variable NUMBA_* of the environment)") from None
 
-from numba.core.caching import IndexDataCacheFile, _Cache
-from numba.core.compiler import CompileResult
-from numba.core.dispatcher import Dispatcher
-from numba.core.runtime import rtsys
+from numba.core.caching import FunctionCache
 
-from turtlebag.datasets.fingerprints import fingerprint
-
-MADE_BY = [numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag]
+ROOMS = ("datasets", "pipeline", "planners", "reports", "sim")
+IMPORT = re.compile(rb"^from turtlebag\.([\w.]+) import", re.M)
+MOST_FOLDERS = 16
+"""Folders of other sources and versions that stay: those used last."""
 
 
 def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit`; with `cache` the compiled code is kept by all that it was made of."""
+    """`numba.njit`; with `cache` the compiled code is kept."""
 
     def compiled(function: Callable[..., Any]) -> Any:
         kernel: Any = numba.njit(**options)(function)
         if cache and kernel is not function:  # NUMBA_DISABLE_JIT leaves the function as it is
-            kernel._cache = KernelCache(kernel)
+            kernel._cache = KeptKernel(function)
         return kernel
 
     return compiled
 
 
-class KernelCache(_Cache):
-    """The compiled forms of one kernel, one for each tuple of argument types, in files."""
+class KeptKernel:
+    """numba's cache of one kernel, made when that is first called; trouble with it never ends a command."""
 
-    def __init__(self, kernel: Dispatcher) -> None:
-        self._kernel, self._on = kernel, True
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function, self._on = function, True
 
     @cached_property
-    def key(self) -> str:
-        """Hash of all that the kernel's code is made of; TypeError names what cannot be hashed.
-
-        Asked for at the first use, when the modules that it reads are whole.
-        """
-        return fingerprint([MADE_BY, content(self._kernel, frozenset(), set())])
+    def _numbas(self) -> Any:
+        """None where nothing can be kept: numba would then look for a place where code can be stale."""
+        config: Any = numba.config
+        place, before = folder(), config.CACHE_DIR
+        if place is None:
+            return None
+        config.CACHE_DIR = str(place)  # read only while the cache is made; a user's kernels have theirs
+        try:
+            made = FunctionCache(self._function)
+        except (RuntimeError, OSError):
+            return None
+        finally:
+            config.CACHE_DIR = before
+        return made if Path(made.cache_path).is_relative_to(place) else None
 
     @property
     def cache_path(self) -> str:
-        """Where the code would be kept."""
-        return str(next(folders()))
+        """The folder of the kernel's file, empty where nothing is kept."""
+        return "" if self._numbas is None else str(self._numbas.cache_path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The cached code for the argument types, or None."""
-        # all that finished code needs; what a compiler needs takes longer to load than many kernels
-        rtsys.initialize(target_context)
-        for folder in folders() if self._on else ():
-            file, wanted = self._file(folder), (sig, target_context.codegen().magic_tuple())
-            try:
-                kept = file.load(wanted)
-                if kept is not None and kept[0] == (self.key, wanted):
-                    return CompileResult._rebuild(target_context, *kept[1])
-            except Exception:  # damaged, or the type of an argument stands in another module now
-                with suppress(OSError):
-                    file.flush()
-        return None
+        """The code for the argument types, or None."""
+        if self._numbas is None or not self._on:
+            return None
+        try:
+            kept = self._numbas.load_overload(sig, target_context)
+        except Exception:  # damaged, or the type of an argument stands in another module now
+            with suppress(Exception):
+                self._numbas.flush()
+            return None
+        # Of two processes that write at once, one's index may name the other's code.
+        return kept if kept is not None and tuple(kept.signature.args) == tuple(sig) else None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the code, if it may be used by another process; in the first folder that takes it."""
-        if not self._on or data.library.has_dynamic_globals or any(not x.can_cache for x in data.lifted):
-            return
-        for folder in folders(make=True):
-            with suppress(Exception):  # trouble with a folder never ends a run
-                folder.mkdir(parents=True, exist_ok=True)
-                made = sig, data.codegen.magic_tuple()
-                # numba writes index and code apart: of processes that write at once, one's index may name
-                # the other's code, which therefore says itself what it is of
-                self._file(folder).save(made, ((self.key, made), data._reduce()))
-                return
-
-    def _file(self, folder: Path) -> IndexDataCacheFile:
-        """Numba's own file of the code for each tuple of types, which counts as empty with another key."""
-        kernel = self._kernel.py_func
-        return IndexDataCacheFile(str(folder), f"{kernel.__module__}.{kernel.__qualname__}"[-120:], self.key)
+        """Keep the code."""
+        if self._numbas is not None and self._on:
+            with suppress(Exception):
+                self._numbas.save_overload(sig, data)
 
     def enable(self) -> None:
         """Enable lookup and storage, which is the default."""
@@ -119,90 +109,48 @@ class KernelCache(_Cache):
         self._on = False
 
     def flush(self) -> None:
-        """Nothing to do: a new key never has cached code."""
+        """Forget what is kept of the kernel."""
+        with suppress(Exception):
+            self._numbas.flush()
 
 
-def folders(*, make: bool = False) -> Iterator[Path]:
-    """Possible cache folders; the first writable one is used for writing.
-
-    NUMBA_CACHE_DIR, where it is set; else beside Python's own bytecode of this package, in the user's
-    cache folder, or for want of both below the temporary one, where `make` makes a folder of our own.
-    """
-    if place := os.environ.get("NUMBA_CACHE_DIR"):
-        yield Path(place)
-        return
-    yield Path(cache_from_source(__file__)).parent / "kernels"
-    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    if os.path.isabs(user):
-        yield Path(user) / "turtlebag/kernels"
-    ours = Path(tempfile.gettempdir()) / f"turtlebag-{os.getuid()}"
-    with suppress(OSError):
-        if make:
-            ours.mkdir(mode=0o700, exist_ok=True)
-        found = ours.lstat()
-        # What is read from it is run: a folder that somebody else made or may write to is none.
-        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022:
-            yield ours / "kernels"
-
-
-def content(value: object, names: frozenset[str], seen: set[int]) -> object:
-    """The value that `fingerprint` hashes for a constant of a kernel; TypeError if there is none.
-
-    Of a module the attributes called `names` count. A function that is no kernel can only be one that
-    numba itself knows: its name says all, with numba's version.
-    """
-    if isinstance(value, Dispatcher):
-        return _of_kernel(value, seen)
-    if isinstance(value, ModuleType):
-        found = sorted(name for name in names if hasattr(value, name))
-        return [value.__name__, {name: content(getattr(value, name), names - {name}, seen) for name in found}]
-    if isinstance(value, CodeType):
-        return _of_code(value, seen)
-    if isinstance(value, (tuple, list)):
-        return [type(value).__name__, *(content(item, names, seen) for item in value)]
-    if isinstance(value, frozenset):
-        return ["set", *sorted(fingerprint(content(item, names, seen)) for item in value)]
-    if isinstance(value, (complex, np.generic, np.dtype, type(...), numba.types.Type)):
-        return [type(value).__name__, repr(value)]
-    if isinstance(value, (type, FunctionType, BuiltinFunctionType, np.ufunc)) or callable(value):
-        return [getattr(value, "__module__", ""), getattr(value, "__qualname__", repr(value))]
-    if value is None or isinstance(value, (bool, int, float, str, bytes, np.ndarray)):
-        return value
-    raise TypeError(f"a kernel cannot be kept that reads a {type(value).__name__}")
+@cache
+def folder() -> Path | None:
+    """Where compiled kernels are kept, in NUMBA_CACHE_DIR where that is set, else in the user's cache folder;
+    None, with a note, where nothing can be written."""
+    user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "turtlebag")
+    place = Path(os.environ.get("NUMBA_CACHE_DIR") or user, "kernels")
+    found = place.absolute() / _sources()
+    try:
+        if not found.is_dir():
+            found.mkdir(parents=True)
+            for old in sorted(place.iterdir(), key=lambda path: path.stat().st_mtime)[:-MOST_FOLDERS]:
+                shutil.rmtree(old, ignore_errors=True)
+        os.utime(found)
+    except OSError as error:
+        if not found.is_dir():
+            how = "set NUMBA_CACHE_DIR to a folder that can be written, or every command compiles them again"
+            logging.getLogger("turtlebag").warning(
+                "note: %s: %s: kernels are not kept; %s", place, error.strerror, how
+            )
+            return None
+    return found
 
 
-def _of_kernel(kernel: Dispatcher, seen: set[int]) -> object:
-    function = kernel.py_func
-    if id(function) in seen:
-        return ["again", function.__qualname__]
-    seen.add(id(function))
-    options = {name: str(option) for name, option in sorted(kernel.targetoptions.items())}
-    names = frozenset(_names(function.__code__))
-    read = {name: function.__globals__[name] for name in sorted(names & function.__globals__.keys())}
-    cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    return [
-        function.__qualname__,
-        options,
-        _of_code(function.__code__, seen),
-        content([function.__defaults__, list((function.__kwdefaults__ or {}).items()), cells], names, seen),
-        {name: content(value, names, seen) for name, value in read.items()},
-    ]
-
-
-def _of_code(code: CodeType, seen: set[int]) -> object:
-    """All of the bytecode but where it stands."""
-    counts = [code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags]
-    names = [code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars]
-    return [
-        code.co_code,
-        counts,
-        names,
-        getattr(code, "co_exceptiontable", b""),  # Python 3.11 and later
-        [content(constant, frozenset(), seen) for constant in code.co_consts],
-    ]
-
-
-def _names(code: CodeType) -> set[str]:
-    """Global names and attributes that the code and the functions within it speak of."""
-    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
-    return set(code.co_names).union(*map(_names, inner))
+def _sources() -> str:
+    """Hash of every source with kernels, of all that those import, and of the packages."""
+    root, texts = Path(__file__).parents[1], dict[str, bytes]()
+    for room in ROOMS:
+        for place, _, files in os.walk(root / room):  # half the time of rglob
+            module = os.path.relpath(place, root).replace(os.sep, ".")
+            for file in files:
+                if file.endswith(".py"):
+                    texts[f"{module}.{file[:-3]}"] = Path(place, file).read_bytes()
+    found, ahead = set[str](), [name for name, text in texts.items() if b"@njit" in text]
+    while ahead:
+        if (name := ahead.pop()) in texts and name not in found:
+            found.add(name)
+            ahead += [module.decode() for module in IMPORT.findall(texts[name])]
+    versions = [numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag]
+    content = [hashlib.sha256(texts[name]).digest() for name in sorted(found)]
+    return hashlib.sha256(b"".join([*content, str(versions).encode()])).hexdigest()[:32]

@@ -60,7 +60,7 @@ class OutputLock:
         try:
             require_free(out, force=force)  # another process may have been quicker
             require_untouched(out)
-        except InputError:
+        except (InputError, OSError):
             self.release()
             raise
 
@@ -110,17 +110,17 @@ class OutputLock:
         """
         for path, before in self._inputs.items():
             require_same(path, before)
-        with uninterrupted():
-            try:
-                require_free(self.out, force=self.force, kind="folder" if file is None else "file")
-                require_untouched(self.out)
+        try:
+            require_free(self.out, force=self.force, kind="folder" if file is None else "file")
+            require_untouched(self.out)
+            with uninterrupted():
                 old = self._swapped(file or self.partial)
-            except (InputError, OSError) as error:
-                self.kept = True
-                with suppress(OSError):
-                    (self.partial / MARKER).unlink()
-                said = error if isinstance(error, InputError) else f"{self.out}: {error.strerror}"
-                raise InputError(f"{said}; the result is kept in {file or self.partial}") from None
+        except (InputError, OSError) as error:
+            self.kept = True
+            with suppress(OSError):
+                (self.partial / MARKER).unlink()
+            said = error if isinstance(error, InputError) else f"{self.out}: {error.strerror}"
+            raise InputError(f"{said}; the result is kept in {file or self.partial}") from None
         for path in _left_over(self.place, old):
             try:
                 _empty(path, but=MANIFEST)  # last: what a kill leaves is known again
@@ -146,33 +146,22 @@ class OutputLock:
 
     def _acquired(self) -> int:
         """Descriptor of `partial`, which is ours alone now: a new one, or what a killed process left."""
-        while True:
-            try:
-                self.partial.mkdir(parents=True, exist_ok=True)
-            except FileExistsError:
-                pass  # what is no folder cannot be locked
-            except OSError as error:
-                self._remove_parents()
-                raise InputError(f"{self.partial}: cannot be created ({error.strerror})") from None
-            folder = _locked(self.partial, self.out)
-            if folder is None or not _is_same(folder, self.partial):  # it was finished in this moment
+        folder = None
+        try:
+            while folder is None or not _is_same(folder, self.partial):  # else it was finished in this moment
                 _close(folder)
-                continue
-            mark = self.partial / MARKER
-            if _content(self.partial) and not (mark.is_file() and mark.read_bytes().startswith(b"turtlebag")):
-                _close(folder)
-                raise InputError(
-                    f"{self.partial}: is in the way and is not an unfinished output of turtlebag; "
-                    "move it or choose another --out"
-                )
-            try:
-                mark.write_text("turtlebag: this output is unfinished; the same command starts it over\n")
-            except OSError as error:
-                shutil.rmtree(self.partial, ignore_errors=True)
-                self._remove_parents()
-                _close(folder)
-                raise InputError(f"{self.partial}: cannot be created ({error.strerror})") from None
+                with suppress(FileExistsError):  # what is no folder cannot be locked
+                    self.partial.mkdir(parents=True, exist_ok=True)
+                folder = _locked(self.partial, self.out)
+            if not (self.partial / MARKER).is_file():
+                _mark(self.partial)
             return folder
+        except (InputError, OSError) as error:
+            _close(folder)
+            self._remove_parents()
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{self.partial}: cannot be created ({error.strerror})") from None
 
     def _worth_saving(self) -> bool:
         return not self.kept and any(next(self.partial.glob(kind), None) for kind in WORTH_SAVING)
@@ -250,12 +239,9 @@ def uninterrupted() -> Iterator[None]:
 
 def _way_out(aside: Path) -> str:
     """A folder that was set aside, and the command that makes a finished output of it."""
-    if (aside / SESSION).exists():
-        return f"{aside} (`turtlebag studio --replay {aside / SESSION} --out DIR` replays it)"
-    bags = [path for kind in WORTH_SAVING[:2] for path in aside.glob(kind)]
-    if all((bag.parent / "metadata.yaml").exists() for bag in bags):
-        return str(aside)
-    return f"{aside} (`turtlebag bag recover {aside} --out DIR` makes a whole bag of it)"
+    session = aside / SESSION
+    how = f"studio --replay {session}" if session.exists() else f"bag recover {aside}"
+    return f"{aside} (`turtlebag {how} --out DIR` makes a finished output of it)"
 
 
 def _locked(folder: Path, out: Path) -> int | None:
@@ -263,26 +249,36 @@ def _locked(folder: Path, out: Path) -> int | None:
 
     InputError when another process has the lock, or what is there is no folder.
     """
+    opened = None
     try:
         opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return None
-    except NotADirectoryError:
-        raise InputError(
-            f"{folder}: is in the way and is not a folder; move it or choose another --out"
-        ) from None
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be read ({error.strerror})") from None
-    try:
-        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         _close(opened)
-        if not isinstance(error, BlockingIOError):
-            raise InputError(f"{folder}: cannot be locked ({error.strerror})") from None
-        raise InputError(
-            f"{out}: another process is writing it (in {folder}); wait for it or choose another --out"
-        ) from None
+        said = f"{folder}: cannot be locked ({error.strerror})"
+        if isinstance(error, NotADirectoryError):
+            said = f"{folder}: is in the way and is not a folder; move it or choose another --out"
+        elif isinstance(error, BlockingIOError):
+            said = f"{out}: another process is writing it (in {folder}); wait for it or choose another --out"
+        raise InputError(said) from None
     return opened
+
+
+def _mark(folder: Path) -> None:
+    """Mark an empty folder as ours; InputError for any other."""
+    if _content(folder):
+        raise InputError(
+            f"{folder}: is in the way and is not an unfinished output of turtlebag; "
+            "move it or choose another --out"
+        )
+    try:
+        with (folder / MARKER).open("x") as file:
+            file.write("turtlebag: this output is unfinished; the same command starts it over\n")
+    except OSError:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _close(folder: int | None) -> None:

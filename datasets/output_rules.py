@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import stat
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +17,7 @@ MARKER = ".turtlebag-unfinished"
 """File in every folder that grows. It never is part of a finished output, nor of its hashes."""
 PICTURE_MARK = "turtlebag"
 """The software that a PNG of ours, a single file, names: no other file is ever replaced."""
-_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG, _MARKED_BYTES = b"\x89PNG\r\n\x1a\n", 512
 
 Kind = Literal["folder", "file"]
 
@@ -62,36 +61,27 @@ def require_untouched(out: Path) -> None:
 
 
 def strangers(folder: Path) -> Iterator[str]:
-    """What in an output is not ours to remove, or cannot be removed, a few words each."""
-    outputs, known = outputs_of(folder) or {}, (folder / MANIFEST, folder / MARKER)
-    for place, folders, files in os.walk(folder):
-        folders.sort()
+    """What in an output is not ours to remove, or cannot be removed, a few words each; OSError where a folder
+    cannot be read."""
+    outputs = outputs_of(folder) or {}
+    effective = os.access in os.supports_effective_ids
+    for place, folders, files in os.walk(folder, onerror=_unreadable):
         inside = Path(place)
-        within = "" if inside == folder else f"{inside.relative_to(folder)}/"
-        nested = bool(within) and is_output(inside)
-        foreign = []
-        if (folders or files) and not _may(inside, os.W_OK | os.X_OK):
+        within = "" if inside == folder else f"{inside.relative_to(folder).as_posix()}/"
+        if (folders or files) and not os.access(inside, os.W_OK | os.X_OK, effective_ids=effective):
             yield f"{within or 'it'} cannot be changed (Permission denied)"
-        for name in sorted([*files, *folders]):
+        for name in sorted([*files, *(name for name in folders if (inside / name).is_symlink())]):
             path = inside / name
-            if path.is_symlink():
-                yield f"{within}{name} is a link"
-            elif name in folders:
-                if not _may(path, os.R_OK):
-                    yield f"{within}{name}/ cannot be read (Permission denied)"
-            elif within + name in outputs:
-                if not _has_hash(path, outputs[within + name]):
-                    yield f"{within}{name} was changed since turtlebag wrote it"
-            elif name not in JUNK and path not in known and not (nested and name == MANIFEST):
-                foreign.append(name)
-        if nested and foreign:
-            yield f"{within} is another output"
-        else:
-            yield from (f"{within}{name} was not written by turtlebag" for name in foreign)
+            if name in JUNK or path == folder / MARKER or (name == MANIFEST and is_output(inside)):
+                continue
+            if within + name not in outputs:
+                yield f"{within}{name} is not part of this output"
+            elif not _has_hash(path, outputs[within + name]):
+                yield f"{within}{name} was changed since turtlebag wrote it"
 
 
-def _may(path: Path, mode: int) -> bool:
-    return os.access(path, mode, effective_ids=os.access in os.supports_effective_ids)
+def _unreadable(error: OSError) -> None:
+    raise error
 
 
 def _has_hash(path: Path, digest: str) -> bool:
@@ -161,17 +151,7 @@ def _require_our_folder(out: Path, place: Path) -> None:
 
 
 def _is_our_picture(path: Path) -> bool:
-    """Whether it is a PNG whose texts before the pixels name `PICTURE_MARK` as its software."""
-    mark = b"Software\0" + PICTURE_MARK.encode()
+    """Whether it is a PNG whose first text, before the pixels, names `PICTURE_MARK` as its software."""
     with path.open("rb") as file:
-        if file.read(len(_PNG)) != _PNG:
-            return False
-        while len(head := file.read(8)) == 8:
-            size, kind = struct.unpack(">I4s", head)
-            if kind == b"IDAT":
-                break
-            start = file.read(min(size, len(mark)))
-            if kind == b"tEXt" and start == mark and size == len(mark):
-                return True
-            file.seek(size - len(start) + 4, os.SEEK_CUR)
-    return False
+        head = file.read(_MARKED_BYTES)
+    return head.startswith(_PNG) and b"tEXtSoftware\0" + PICTURE_MARK.encode() in head.split(b"IDAT")[0]

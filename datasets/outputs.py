@@ -88,12 +88,13 @@ def _growing(lock: OutputLock, *, save_bag: bool = False) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Output:
-    """The folder that a stage writes, and how: `force` replaces an earlier output, `command` is the command
-    line for the manifest. InputError when the folder exists and may not be replaced."""
+    """The folder that a stage writes, and how: `force` replaces an earlier output; `command` and `request`,
+    what was asked for, go into the manifest. InputError when the folder exists and may not be replaced."""
 
     folder: Path
     force: bool = False
     command: Sequence[str] = ()
+    request: Mapping[str, Any] = field(default_factory=dict)
     _begun_s: float = field(default_factory=time.perf_counter, init=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -125,7 +126,8 @@ class Output:
             write_json(partial / "metrics.json", metrics)
         if config is not None:
             (partial / "config.yaml").write_text(config)
-        write_manifest(partial, stage, self.command, inputs, wall_s=self.wall_s, seed=seed, extra=extra)
+        more = {**({"request": self.request} if self.request else {}), **(extra or {})}
+        write_manifest(partial, stage, self.command, inputs, wall_s=self.wall_s, seed=seed, extra=more)
 
 
 NO_CONTENT = (MANIFEST, MARKER, *JUNK)
@@ -202,12 +204,23 @@ def write_manifest(
             "packages": package_versions(),
             "python": platform.python_version(),
             "platform": platform.platform(),
+            "cpu": cpu_name(),
             "cpus": os.cpu_count(),
             "finished_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "wall_s": round(wall_s, 3),
             **(extra or {}),
         },
     )
+
+
+@cache
+def cpu_name() -> str:
+    """What processor this is, as far as the system says: another one may round otherwise."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith(("model name", "CPU part")):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 @cache

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import math
 import re
 import sys
 import traceback
@@ -90,14 +89,6 @@ def require(part: type, contract: type, name: str | None = None) -> None:
         _require_method(part, method, contract, name or _label(part))
 
 
-def require_attributes(part: object, contract: type) -> None:
-    """InputError unless a part has all attributes of its contract."""
-    named = [key for key, value in vars(contract).items() if isinstance(value, property)]
-    for key in [*named, *inspect.get_annotations(contract)]:
-        if inspect.getattr_static(part, key, _found) is _found:
-            raise InputError(f"{_label(type(part))}: has no {key}, which {contract.__name__} requires")
-
-
 def name_of(part: type) -> str:
     """`module:Class` of a class; InputError when that does not lead back to it."""
     name = _label(part)
@@ -124,45 +115,13 @@ def source_files(names: Mapping[str, str | None]) -> dict[str, Path]:
     return files
 
 
-def told_of(error: BaseException) -> str | None:
-    """An exception from a user's part in one line, with its place in the code; None for any other."""
+def place_of(error: BaseException) -> str | None:
+    """An exception from within a user's part in one line, with its place in the code; None for any other."""
     files = {source.file for source in _found.values()}
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if Path(frame.filename) in files:
             return f"{_from_here(Path(frame.filename))}, line {frame.lineno}, in {frame.name}: {_said(error)}"
     return None
-
-
-class Answer(NamedTuple):
-    """Checks of a value that a part's method returned."""
-
-    part: object
-    method: str
-
-    def require_a(self, kind: type, value: object) -> None:
-        """InputError unless it is of this kind."""
-        if not isinstance(value, kind):
-            raise self.wrong(f"must return {one(kind.__name__)}, not {told_kind(value)}")
-
-    def require_kind(self, what: str, value: object, *kinds: type) -> None:
-        """InputError unless `what` of it is of one of these kinds."""
-        if not isinstance(value, kinds):
-            raise self.wrong(f"{what} must be {one(kinds[0].__name__)}, not {told_kind(value)}")
-
-    def require_finite(self, what: str, value: object, *shape: int) -> None:
-        """InputError unless `what` of it is finite, an array of this shape or a number."""
-        if not shape and isinstance(value, float) and math.isfinite(value):
-            return  # asked of every scan, and arrays take ten times as long
-        numbers = np.asarray(value) if isinstance(value, (np.ndarray, np.number, float, int)) else None
-        if numbers is None or numbers.shape != shape or numbers.dtype.kind not in "fiu":
-            asked = f"an array of shape {shape}" if shape else "a number"
-            raise self.wrong(f"{what} must be {asked}, not {told_kind(value)}")
-        if not np.isfinite(numbers).all():
-            raise self.wrong(f"{what} is not finite")
-
-    def wrong(self, text: str) -> InputError:
-        """The error for a wrong value."""
-        return InputError(f"{_label(type(self.part))}: {self.method}: {text}")
 
 
 def _from_here(file: Path) -> Path:

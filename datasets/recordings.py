@@ -8,7 +8,7 @@ from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
 from turtlebag.datasets.bags.plausibility import ARM_M
-from turtlebag.datasets.bags.scans import TURNED_OVER, turned_over
+from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.bags.source import is_bag, open_bag
 from turtlebag.datasets.carmen import is_carmen, parse_carmen
 from turtlebag.datasets.errors import InputError
@@ -32,7 +32,8 @@ def load_recording(
     recording = _read(path, T_base_lidar, topic)
     if T_base_lidar is None or not upside_down:
         return recording
-    return replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, TURNED_OVER))
+    note = "the laser is mounted upside down; its scans were flipped"
+    return replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, note))
 
 
 def _read(path: Path, T_base_lidar: SE2 | None, topic: str | None) -> Recording:

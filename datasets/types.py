@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.findings import Finding
 from turtlebag.datasets.se2 import SE2, Array, wrap
 
 Stamps = NDArray[np.int64]
@@ -204,7 +205,8 @@ class Recording:
     `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117.
     `T_odom_base` is the odometry pose at each scan's stamp, (n_scans,), or None if the log has none;
     `odometry` is the full-rate stream if there is one (None for CARMEN logs, whose odometry comes with
-    each scan). `notes` has one line for everything that was skipped or repaired while reading.
+    each scan). `notes` has one line for everything that was skipped or repaired while reading, and
+    `findings` what of it is wrong with a bag.
     `odometry_late_s` is a delay of the odometry that was corrected; `turned_over` means that the lidar was
     flipped because of the odometry alone.
     """
@@ -218,6 +220,7 @@ class Recording:
     odometry: Trajectory | None = None
     imu: ImuLog | None = None
     notes: tuple[str, ...] = field(default=())
+    findings: tuple[Finding, ...] = field(default=())
     odometry_late_s: float = 0.0
     turned_over: bool = False
 
@@ -273,6 +276,7 @@ class Recording3D:
     odometry: Trajectory | None = None
     imu: ImuLog | None = None
     notes: tuple[str, ...] = field(default=())
+    findings: tuple[Finding, ...] = field(default=())
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -42,11 +42,11 @@ def sample_footprint(model: RobotModel, pitch: float = PITCH_M) -> FootprintSamp
         count = max(1, math.ceil(float(np.linalg.norm(b - a)) / pitch))
         sides.append(a + (b - a) * (np.arange(count) / count)[:, None])
     outline = np.concatenate(sides)
-    points = np.concatenate([outline, _inner_points(corners, pitch)])
+    points = np.concatenate([outline, inner_points(corners, pitch)])
     return FootprintSamples(points, model.inscribed_radius, model.circumscribed_radius, len(outline))
 
 
-def _inner_points(corners: Array, pitch: float) -> Array:
+def inner_points(corners: Array, pitch: float) -> Array:
     """A lattice inside the convex polygon, so that a thin post cannot hide within it."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     xs = np.arange(low[0] + pitch / 2.0, high[0], pitch)
@@ -126,13 +126,13 @@ def footprint_free(field: Field32, resolution: float, corners: Array, x: float, 
             if 0 <= r < rows and 0 <= q < cols and field[r, q] > 0.0:
                 continue
             dx, dy = (q + 0.5) * resolution - x, (r + 0.5) * resolution - y
-            if _inside(corners, c * dx + s * dy, c * dy - s * dx):
+            if in_polygon(corners, c * dx + s * dy, c * dy - s * dx):
                 return False
     return True
 
 
 @njit(cache=True)
-def _inside(corners: Array, x: float, y: float) -> bool:
+def in_polygon(corners: Array, x: float, y: float) -> bool:
     """Whether a point lies in a convex polygon (n, 2), counter-clockwise, its edges included."""
     n = len(corners)
     for k in range(n):

@@ -26,7 +26,7 @@ from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, OmplConfig, solve
-from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
+from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 
@@ -79,14 +79,12 @@ def plan_path(
 ) -> Plan:
     """A collision-free path for the footprint by the planner of the settings; raises NoPath with the reason.
 
-    InputError where that is the user's own and not to be had, or gives back something else.
+    InputError where that is the user's own and not to be had.
     """
     if not fits(costmap, model, T_map_goal):
         raise NoPath("the goal is in an obstacle or off the map")
     planner: GlobalPlanner = chosen(config.planner, {"ompl": OmplPlanner}, GlobalPlanner)(config)
-    plan = planner.plan(costmap, model, T_map_start, T_map_goal, seed)
-    require_plan(planner, plan)
-    return plan
+    return planner.plan(costmap, model, T_map_start, T_map_goal, seed)
 
 
 class OmplPlanner:
@@ -111,7 +109,7 @@ def _plan_disc(
     if way is not None:
         poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
         plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner)
-        if _blocked_until(costmap, model.footprint, poses) is None:
+        if blocked_until(costmap, model.footprint, poses) is None:
             return plan
     oriented = _oriented_plan(costmap, model, start, goal, config)
     if oriented is not None:
@@ -119,7 +117,7 @@ def _plan_disc(
     if way is None:
         raise NoPath(reason)
     # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
-    stuck = _blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses)
+    stuck = blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses)
     if stuck is not None and stuck > 2.0 * SNAP_M:
         raise NoPath("no path to the goal")
     return plan
@@ -135,7 +133,7 @@ def _disc_way(
         last = margin == config.margins[-1]
         if last and best is not None:
             break
-        search = _Search(costmap, model.circumscribed_radius + margin, config)
+        search = DiscSearch(costmap, model.circumscribed_radius + margin, config)
         entry, exit_ = search.entry(start.xy), search.entry(goal.xy, SNAP_M if last else 0.0)
         if entry is None or exit_ is None:
             if entry is None:
@@ -171,7 +169,7 @@ def _oriented_plan(
     return None if way is None else Plan(costmap.T_map_grid @ way, path_length(way.xy), 0.0, ORIENTED)
 
 
-def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float | None:
+def blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float | None:
     """Length of the path up to the last place where the footprint touches something [m]; None: nowhere."""
     xyt = np.ascontiguousarray(poses.xyt)
     first = int(free_from(Ground(costmap.clearance, costmap.resolution, footprint), xyt))
@@ -190,7 +188,7 @@ class _Way:
 
 def _shortest(costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig) -> float:
     """Length of the tightened grid path with the least room [m]; inf when there is none."""
-    search = _Search(costmap, model.circumscribed_radius + min(config.margins), config)
+    search = DiscSearch(costmap, model.circumscribed_radius + min(config.margins), config)
     entry, exit_ = search.entry(start.xy), search.entry(goal.xy)
     if entry is None or exit_ is None or not search.connected(entry, exit_):
         return np.inf
@@ -203,7 +201,7 @@ def _plan_poses(
     """A path in position and heading; the lattice tells at once when there is none."""
     if not fits(costmap, model, costmap.T_map_grid @ start):
         raise NoPath("the robot is in an obstacle or off the map")
-    footprint = _grown(costmap, model.footprint, (start, goal))
+    footprint = cell_padded(costmap, model.footprint, (start, goal))
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
         raise NoPath("no path to the goal in any heading")
     name = f"{config.ompl.name} in {config.ompl.space}"
@@ -220,7 +218,7 @@ def _plan_poses(
     raise NoPath(f"{config.ompl.name} found no path within its iterations")
 
 
-def _grown(costmap: Costmap, footprint: Array, ends: tuple[SE2, SE2]) -> Array:
+def cell_padded(costmap: Costmap, footprint: Array, ends: tuple[SE2, SE2]) -> Array:
     """The footprint grown by half a cell, as far as lethal cells reach; as it is where an end needs that."""
     grown = padded(footprint, 0.5 * costmap.resolution)
     field, resolution = costmap.clearance, costmap.resolution
@@ -228,7 +226,7 @@ def _grown(costmap: Costmap, footprint: Array, ends: tuple[SE2, SE2]) -> Array:
     return grown if free else footprint
 
 
-def _without_repeats(points: Array) -> Array:
+def without_repeats(points: Array) -> Array:
     """Drop points that repeat the one before; two are kept at least."""
     keep = np.ones(len(points), dtype=bool)
     keep[1:] = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
@@ -237,8 +235,8 @@ def _without_repeats(points: Array) -> Array:
     return points[keep]
 
 
-class _Search:
-    """One search for one radius, in the grid frame."""
+class DiscSearch:
+    """The search for a way of a disc of one radius [m], in the grid frame."""
 
     def __init__(self, costmap: Costmap, radius: float, config: PlanConfig) -> None:
         self.field = costmap.clearance
@@ -263,6 +261,7 @@ class _Search:
         return bool(np.isfinite(self.to_goal(b)[a]))
 
     def center(self, cell: tuple[int, int]) -> Array:
+        """The middle of a cell, (2,)."""
         return (np.array([cell[1], cell[0]], dtype=np.float64) + 0.5) * self.resolution
 
     def grid_path(self, start: tuple[int, int], goal: tuple[int, int]) -> Array:
@@ -270,6 +269,14 @@ class _Search:
         cells = descend(self.to_goal(goal), *start)
         points = np.asarray((cells[:, ::-1] + 0.5) * self.resolution, dtype=np.float64)
         return shortcut(self.field, self.resolution, self.radius, points)
+
+    def informed_floor(self, start: tuple[int, int], goal: tuple[int, int]) -> DiscFloor:
+        """The floor on ways between joined cells that are hardly longer than the shortest: the informed set
+        (Gammell et al. 2014) by distances along the floor instead of straight ones."""
+        from_goal = self.to_goal(goal)
+        limit = float(from_goal[start]) * INFORMED + 2.0
+        inside = grid_distance(self.free, start[0], start[1], limit) + from_goal <= limit
+        return DiscFloor(self.field, self.resolution, self.radius, inside)
 
     def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, str]:
         """Corners (n, 2) of a tight path between joined cells, and what found it.
@@ -279,13 +286,9 @@ class _Search:
         ompl, a, b = self.config.ompl, self.center(start), self.center(goal)
         if start == goal:  # OMPL's informed planners have no ellipse about a single point
             return np.array([a, b]), ompl.name
-        from_goal = self.to_goal(goal)
-        limit = float(from_goal[start]) * INFORMED + 2.0
-        # Informed set (Gammell et al. 2014) by distances along the floor instead of straight ones.
-        inside = grid_distance(self.free, start[0], start[1], limit) + from_goal <= limit
         over_cells = self.grid_path(start, goal)
-        floor = DiscFloor(self.field, self.resolution, self.radius, inside)
-        raw = solve(floor, a, b, GOOD_ENOUGH * path_length(over_cells), ompl, seed)
+        enough = GOOD_ENOUGH * path_length(over_cells)
+        raw = solve(self.informed_floor(start, goal), a, b, enough, ompl, seed)
         if raw is None:
             return self.tightened(over_cells), OVER_CELLS
         tight = shortcut(self.field, self.resolution, self.radius, densify(raw, 2.0 * SPACING_M))
@@ -304,7 +307,7 @@ class _Search:
         for push in BAND_PUSHES:
             band = self._band(densify(tight, SPACING_M), push, BAND_PULL, BAND_ITERATIONS)
             whole = np.concatenate([start[None], densify(band, 2.0 * SPACING_M), goal[None]])
-            points = _without_repeats(whole)
+            points = without_repeats(whole)
             if path_length(points) <= limit:
                 break
         return points

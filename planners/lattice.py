@@ -41,7 +41,7 @@ class Lattice:
         corners = padded(footprint, room) if room > 0.0 else footprint
         self._ground = Ground(costmap.clearance, costmap.resolution, corners)
         outer = float(np.linalg.norm(corners, axis=1).max())
-        numbers, narrow = number_cells(costmap.clearance, _inscribed(corners), outer)
+        numbers, narrow = number_cells(costmap.clearance, inscribed_radius(corners), outer)
         stands, turns = np.zeros((2, narrow * N), dtype=np.int8)
         self._floor = Floor(self._ground, numbers, stands, turns, HEADINGS, YAWS, BACKWARDS, TURN)
 
@@ -66,7 +66,10 @@ class Lattice:
         first, last = float(T_grid_start.yaw), float(T_grid_goal.yaw)
         tight = pull(self._ground, densify(points, self._ground.res), first, last)
         # Pulled into a corner from which it does not turn on, the lattice's own steps; last, with slips.
-        ways = (tight, *((points, _yaws(points, states[:, 2], first, last, slip)) for slip in (False, True)))
+        ways = (
+            tight,
+            *((points, step_yaws(points, states[:, 2], first, last, slip)) for slip in (False, True)),
+        )
         for kept, yaws in ways:
             poses = self._poses(kept, yaws, first, last)
             if free_from(self._ground, poses.xyt) == 0:
@@ -80,17 +83,17 @@ class Lattice:
             turning(self._ground, point, old, new)
             for point, old, new in zip(kept, headings, headings[1:], strict=False)
         ]
-        return _poses(kept, headings, np.array(angles), SPACING_M)
+        return drive_poses(kept, headings, np.array(angles), SPACING_M)
 
 
-def _inscribed(corners: Array) -> float:
+def inscribed_radius(corners: Array) -> float:
     """Distance from the base origin to the nearest edge [m]."""
     edge = np.roll(corners, -1, axis=0) - corners
     across = edge[:, 0] * -corners[:, 1] - edge[:, 1] * -corners[:, 0]
     return float(np.abs(across / np.linalg.norm(edge, axis=1)).min())
 
 
-def _yaws(points: Array, headings: NDArray[np.int64], first: float, last: float, slip: bool) -> Array:
+def step_yaws(points: Array, headings: NDArray[np.int64], first: float, last: float, slip: bool) -> Array:
     """The heading of each step between points (n + 2, 2): forwards, unless a narrow state says backwards.
 
     With `slip` the first and the last step may go to the side, in the heading the robot has there.
@@ -109,7 +112,7 @@ def _yaws(points: Array, headings: NDArray[np.int64], first: float, last: float,
     return np.where(moved, out, told)
 
 
-def _poses(kept: Array, headings: Array, angles: Array, spacing: float) -> SE2:
+def drive_poses(kept: Array, headings: Array, angles: Array, spacing: float) -> SE2:
     """Poses along straight drives between corners (m, 2), each looking as it is driven.
 
     `headings` (m + 1,) are those before and after each corner, `angles` (m,) how it is turned there.

@@ -91,7 +91,7 @@ def ends(floor: Floor, pose: Array) -> tuple[NDArray[np.int64], Array]:
                 away = abs((there - yaw + math.pi) % (2.0 * math.pi) - math.pi)
                 if away > (NEAR + 0.5) * 2.0 * math.pi / n:
                     continue
-                reached = _reaches(floor.ground, pose, cx, cy, there)
+                reached = reaches(floor.ground, pose, cx, cy, there)
                 if reached or moves(floor.ground, (x, y, yaw), (cx, cy, there)):
                     out[count, 0], out[count, 1], out[count, 2] = r, c, k
                     gaps[count] = 1.5 * math.hypot(cx - x, cy - y) / res + (0.0 if reached else SLIP)
@@ -100,7 +100,7 @@ def ends(floor: Floor, pose: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 @njit(cache=True)
-def _reaches(ground: Ground, pose: Array, x: float, y: float, yaw: float) -> bool:
+def reaches(ground: Ground, pose: Array, x: float, y: float, yaw: float) -> bool:
     """Whether the robot turns, drives and turns from a pose (3,) to another."""
     a, b = pose[:2], np.array([x, y])
     if math.hypot(x - a[0], y - a[1]) < 1e-6:
@@ -113,7 +113,9 @@ def _reaches(ground: Ground, pose: Array, x: float, y: float, yaw: float) -> boo
 
 
 @njit(cache=True)
-def _steps(floor: Floor, r: int, c: int, k: int, near: bool, out: NDArray[np.int64], costs: Array) -> int:
+def next_states(
+    floor: Floor, r: int, c: int, k: int, near: bool, out: NDArray[np.int64], costs: Array
+) -> int:
     """Fill `out` (n, 3) with the states a step away, not yet checked, and `costs` (n,) with cells of way.
 
     A wide cell is left in every heading; with `near` only to its eight neighbours.
@@ -144,13 +146,13 @@ def _steps(floor: Floor, r: int, c: int, k: int, near: bool, out: NDArray[np.int
 
 @njit(cache=True)
 def _free(floor: Floor, r: int, c: int, k: int, to: NDArray[np.int64]) -> bool:
-    """Whether a step of `_steps` is: the footprint stands there, and moves or turns freely on the way."""
+    """Whether a step of `next_states` is free: the footprint stands there, and moves or turns on the way."""
     r1, c1, h = to[0], to[1], to[2]
-    if not _stands(floor, r1, c1, h, h):
+    if not stands_free(floor, r1, c1, h, h):
         return False
     if r1 == r and c1 == c:
         n = len(floor.yaws)
-        return _stands(floor, r, c, k, h) if h == (k + 1) % n else _stands(floor, r, c, h, k)
+        return stands_free(floor, r, c, k, h) if h == (k + 1) % n else stands_free(floor, r, c, h, k)
     if floor.numbers[r, c] == WIDE and floor.numbers[r1, c1] == WIDE and max(abs(r1 - r), abs(c1 - c)) <= 1:
         return True
     res, yaw = floor.ground.res, floor.yaws[h]
@@ -159,7 +161,7 @@ def _free(floor: Floor, r: int, c: int, k: int, to: NDArray[np.int64]) -> bool:
 
 
 @njit(cache=True)
-def _stands(floor: Floor, r: int, c: int, k: int, to: int) -> bool:
+def stands_free(floor: Floor, r: int, c: int, k: int, to: int) -> bool:
     """Whether the footprint stands free on a cell, turning from heading k to the next one or keeping k."""
     number = floor.numbers[r, c]
     if number < 0:
@@ -205,7 +207,7 @@ def flood(floor: Floor, starts: NDArray[np.int64], goals: NDArray[np.int64]) -> 
             r, c, k = stacks[side].pop()
             # Amid wide cells the eight neighbours lead everywhere.
             amid = floor.numbers[r, c] == WIDE and floor.ground.field[r, c] > reach + 3.2 * floor.ground.res
-            for to in out[: _steps(floor, r, c, k, amid, out, costs)]:
+            for to in out[: next_states(floor, r, c, k, amid, out, costs)]:
                 bits = _bits(floor, to[0], to[1], to[2])
                 if reached[side, to[0], to[1]] & bits == bits or not _free(floor, r, c, k, to):
                     continue
@@ -257,7 +259,7 @@ def shortest(
         if is_goal[at]:
             return _trace(floor, at, before, cells)
         c, r, k = _state(floor, at, cells)
-        count = _steps(floor, r, c, max(k, 0), False, out, way)
+        count = next_states(floor, r, c, max(k, 0), False, out, way)
         for i in range(count):
             to = out[i]
             there = _id(floor, to[0], to[1], to[2])

@@ -61,7 +61,7 @@ class ObstacleLayer:
         x, y = (static.T_grid_map @ origin.xy).tolist()
         ends = static.T_grid_map @ np.concatenate([hits, passes])
         beams = GridBeams(x, y, ends, len(hits), c.obstacle_range, c.known)
-        _mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
+        mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
         marked = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
         self._hits[self._seen <= now_s - c.decay] = 0
         self._show(marked)
@@ -122,7 +122,7 @@ class GridBeams(NamedTuple):
 
 
 @njit(cache=True)
-def _mark_and_clear(
+def mark_and_clear(
     seen: Array,
     hits: NDArray[np.int16],
     clearance: NDArray[np.float32],

@@ -80,7 +80,7 @@ def solve(
     ou.noOutputHandler()
     ou.RNG.setSeed(seed % (2**32 - 1) + 1)
     space = ob.RealVectorStateSpace(2)
-    space.setBounds(_bounds(ob, floor.inside, floor.resolution))
+    space.setBounds(floor_bounds(ob, floor.inside, floor.resolution))
     info = ob.SpaceInformation(space)
     rows, cols = floor.inside.shape
 
@@ -164,7 +164,7 @@ def iteration_limit(iterations: int) -> Any:
     return ob.PlannerTerminationCondition(spent)
 
 
-def _bounds(ob: Any, inside: NDArray[np.bool_], resolution: float) -> Any:
+def floor_bounds(ob: Any, inside: NDArray[np.bool_], resolution: float) -> Any:
     """Bounding box of the searched floor."""
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     bounds = ob.RealVectorBounds(2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.costmap import Costmap
@@ -44,19 +43,3 @@ class GlobalPlanner(Protocol):
         Raises NoPath with the reason if there is none. The same seed gives the same path.
         """
         ...
-
-
-def require_plan(planner: GlobalPlanner, plan: object) -> None:
-    """InputError unless `plan` is a valid result of `plan`."""
-    answer = Answer(planner, "plan")
-    answer.require_a(Plan, plan)
-    assert isinstance(plan, Plan)
-    answer.require_kind("poses", plan.poses, SE2)
-    answer.require_kind("planner", plan.planner, str)
-    if len(plan.poses) < 2:
-        raise answer.wrong("a path needs at least two poses")
-    answer.require_finite("poses", plan.poses.xyt, len(plan.poses), 3)
-    for what in ("length", "margin"):
-        answer.require_finite(what, getattr(plan, what))
-    if plan.length < 0.0:
-        raise answer.wrong("length is negative")

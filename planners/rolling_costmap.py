@@ -35,7 +35,7 @@ class RollingLayer(ObstacleLayer):
         cells = max(2, round(side / resolution))
         self._shift_cells = max(1, round(shift / resolution))
         corner = np.floor(centre / resolution) - cells // 2
-        super().__init__(_free_floor(corner, cells, resolution), marking)
+        super().__init__(free_floor(corner, cells, resolution), marking)
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
         """Move the window if necessary, then add a sweep as an obstacle layer does."""
@@ -53,7 +53,7 @@ class RollingLayer(ObstacleLayer):
         ways = ways_from(costmap, pose, radius)
         if ways is None:
             raise NoPath("the robot is too close to an obstacle")
-        rim = _rim(len(ways), round(RIM_M / res))
+        rim = rim_cells(len(ways), round(RIM_M / res))
         rest = np.linalg.norm((rim[:, ::-1] + 0.5) * res - costmap.T_grid_map @ goal.xy, axis=1)
         total = ways[rim[:, 0], rim[:, 1]] + rest
         best = int(np.argmin(total))
@@ -75,19 +75,19 @@ class RollingLayer(ObstacleLayer):
         if np.abs(off).max() <= self._shift_cells:
             return
         cols, rows = off.tolist()
-        self._seen = _shifted(self._seen, rows, cols, NEVER)
-        self._hits = _shifted(self._hits, rows, cols, 0)
+        self._seen = shifted(self._seen, rows, cols, NEVER)
+        self._hits = shifted(self._hits, rows, cols, 0)
         corner = np.round(self.static.T_map_grid.xy / res) + off
-        self.static = _free_floor(corner, cells, res)
+        self.static = free_floor(corner, cells, res)
 
 
-def _free_floor(corner: Array, cells: int, resolution: float) -> Costmap:
+def free_floor(corner: Array, cells: int, resolution: float) -> Costmap:
     """Unknown floor, which counts as free; `corner` (x, y) in cells."""
     x, y = (corner * resolution).tolist()
     return Costmap(np.zeros((cells, cells), dtype=bool), resolution, SE2.from_xyt(x, y, 0.0))
 
 
-def _shifted(values: NDArray[Any], rows: int, cols: int, empty: float) -> NDArray[Any]:
+def shifted(values: NDArray[Any], rows: int, cols: int, empty: float) -> NDArray[Any]:
     """`values` of a window moved by (rows, cols); new cells are `empty`."""
     n, out = len(values), np.full_like(values, empty)
     to_r, to_c = slice(max(-rows, 0), min(n - rows, n)), slice(max(-cols, 0), min(n - cols, n))
@@ -97,7 +97,7 @@ def _shifted(values: NDArray[Any], rows: int, cols: int, empty: float) -> NDArra
     return out
 
 
-def _rim(cells: int, inset: int) -> Array:
+def rim_cells(cells: int, inset: int) -> Array:
     """Cells (n, 2) of a square ring, `inset` cells inside the window."""
     low, high = inset, cells - 1 - inset
     side = np.arange(low, high + 1)

@@ -125,7 +125,7 @@ def other_values(stage: Stage, metrics: Mapping[str, Any]) -> list[tuple[str, st
     return [
         (path, DASH if value is None else f"{value:.6g}" if isinstance(value, float) else str(value))
         for path, value in leaves(metrics)
-        if path not in named and not path.startswith(("goals.", "planners."))
+        if path not in named and not path.startswith(("goals.", "planners.", "findings."))
     ]
 
 

@@ -216,10 +216,52 @@ def distance_to_point(x: float, y: float, segments: Array, circles: Array) -> fl
 @njit(cache=True)
 def keeps_clear(line: Array, need: float, segments: Array, circles: Array) -> bool:
     """Whether every point of a line (n, 2) is farther than `need` [m] from the nearest outline."""
-    for k in range(line.shape[0]):
-        if not distance_to_point(line[k, 0], line[k, 1], segments, circles) > need:
-            return False
+    n = line.shape[0]
+    mx, my = 0.5 * (line[0, 0] + line[n - 1, 0]), 0.5 * (line[0, 1] + line[n - 1, 1])
+    reach = need + 1e-9
+    for i in range(n):
+        reach = max(reach, math.hypot(line[i, 0] - mx, line[i, 1] - my) + need + 1e-9)
+    for k in range(segments.shape[0] + circles.shape[0]):
+        j = max(k - segments.shape[0], 0)
+        one = segments[k : k + 1], circles[j : j + (k >= segments.shape[0])]
+        if distance_to_point(mx, my, *one) > reach:
+            continue
+        for i in range(n):
+            if not distance_to_point(line[i, 0], line[i, 1], *one) > need:
+                return False
     return True
+
+
+@njit(cache=True)
+def first_with_room(points: Array, need: float, segments: Array, circles: Array) -> int:
+    """Number of the first of the points (n, 2) that is farther than `need` [m] from every outline; without
+    one, of the first that is farthest."""
+    best, farthest = 0, -1.0
+    for k in range(points.shape[0]):
+        room = distance_to_point(points[k, 0], points[k, 1], segments, circles)
+        if room > farthest:
+            best, farthest = k, room
+        if room > need:
+            break
+    return best
+
+
+@njit(cache=True)
+def _near_outlines(x: float, y: float, reach: float, segments: Array, circles: Array) -> tuple:
+    """The outlines of which one is the nearest for every point within `reach` [m] of a place."""
+    n, m = segments.shape[0], circles.shape[0]
+    room = np.empty(n + m)
+    for k in range(n):
+        room[k] = distance_to_point(x, y, segments[k : k + 1], circles[:0])
+    for k in range(m):
+        room[n + k] = distance_to_point(x, y, segments[:0], circles[k : k + 1])
+    # A step changes no distance by more than its own length.
+    near = room <= (room.min() if n + m else 0.0) + 2.0 * reach + 1e-9
+    return segments[near[:n]], circles[near[n:]]
+
+
+BLOCK = 16
+"""Cells on a side that look for their nearest outline among the same few."""
 
 
 @njit(cache=True)
@@ -231,16 +273,27 @@ def roomiest(x: Array, y: Array, half: float, need: float, segments: Array, circ
     """
     room = np.empty((y.shape[0], x.shape[0]))
     points = np.empty((y.shape[0], x.shape[0], 2))
-    for r in range(y.shape[0]):
-        for c in range(x.shape[0]):
-            room[r, c] = distance_to_point(x[c], y[r], segments, circles)
-            points[r, c, 0], points[r, c, 1] = x[c], y[r]
-            if not need - 1.5 * half < room[r, c] <= need:
-                continue
-            for k in range(9):
-                px = x[c] + (k % 3 - 1) * half * 0.8
-                py = y[r] + (k // 3 - 1) * half * 0.8
-                d = distance_to_point(px, py, segments, circles)
-                if d > room[r, c]:
-                    room[r, c], points[r, c, 0], points[r, c, 1] = d, px, py
+    for r0 in range(0, y.shape[0], BLOCK):
+        for c0 in range(0, x.shape[0], BLOCK):
+            r1, c1 = min(r0 + BLOCK, y.shape[0]), min(c0 + BLOCK, x.shape[0])
+            mx, my = 0.5 * (x[c0] + x[c1 - 1]), 0.5 * (y[r0] + y[r1 - 1])
+            reach = math.hypot(x[c1 - 1] - mx + half, y[r1 - 1] - my + half)
+            near, round_ones = _near_outlines(mx, my, reach, segments, circles)
+            for r in range(r0, r1):
+                for c in range(c0, c1):
+                    best = _roomiest_point(x[c], y[r], half, need, near, round_ones)
+                    room[r, c], points[r, c, 0], points[r, c, 1] = best
     return room, points
+
+
+@njit(cache=True)
+def _roomiest_point(x: float, y: float, half: float, need: float, segments: Array, circles: Array) -> tuple:
+    """Room of one cell [m], and where."""
+    room, best_x, best_y = distance_to_point(x, y, segments, circles), x, y
+    if need - 1.5 * half < room <= need:
+        for k in range(9):
+            px, py = x + (k % 3 - 1) * half * 0.8, y + (k // 3 - 1) * half * 0.8
+            d = distance_to_point(px, py, segments, circles)
+            if d > room:
+                room, best_x, best_y = d, px, py
+    return room, best_x, best_y

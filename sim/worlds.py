@@ -9,12 +9,12 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.number_text import decimals
-from turtlebag.datasets.parts import Answer, find, is_own, source_files
+from turtlebag.datasets.parts import find, is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.clutter import cluttered
 from turtlebag.sim.generators import GENERATORS, LIMITS, seeded
-from turtlebag.sim.raycast import distance_to_point
+from turtlebag.sim.raycast import first_with_room
 from turtlebag.sim.sdf import load_sdf
 from turtlebag.sim.shapes import Solid, contains, sections
 from turtlebag.sim.world import World, WorldMaker
@@ -95,31 +95,11 @@ def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
     return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
 
 
-def require_world(maker: WorldMaker, world: object) -> None:
-    """InputError unless it is what `world` must return: something to see, finite, with a map that fits."""
-    answer = Answer(maker, "world")
-    answer.require_a(World, world)
-    assert isinstance(world, World)
-    answer.require_finite("spawn", world.spawn.xyt, 3)
-    answer.require_finite("bounds", np.array(world.bounds, dtype=np.float64), 4)
-    if not world.shapes:
-        raise answer.wrong("a world needs at least one shape")
-    for what, value, kind in [
-        ("name", world.name, str),
-        ("robot", world.robot, str),
-        *[("shape", solid, Solid) for solid in world.shapes],
-    ]:
-        answer.require_kind(what, value, kind)
-    for outline in (*world.keepout, *world.routes.values()):
-        answer.require_finite("keepout or route", outline, len(outline), 2)
-    _mappable(world.bounds, world.name)
-
-
 def _own(part: str, options: str) -> World:
     """The world that a class of the user's makes."""
     maker: WorldMaker = find(part, WorldMaker)(options)
     world = maker.world()
-    require_world(maker, world)
+    _mappable(world.bounds, world.name)
     return world
 
 
@@ -177,8 +157,7 @@ def _roomy_place(solids: list[Solid], bounds: tuple[float, float, float, float])
     points = np.vstack([np.zeros(2), np.stack([x.ravel(), y.ravel()], axis=-1)])
     points = points[np.argsort(np.hypot(*points.T), kind="stable")]
     points = points[~contains(solids, 0.2, points)]
-    rooms = np.array([distance_to_point(px, py, outlines.segments, outlines.circles) for px, py in points])
-    best = int(np.argmax(rooms > 0.5)) if np.any(rooms > 0.5) else int(np.argmax(rooms))
+    best = first_with_room(points, 0.5, outlines.segments, outlines.circles)
     return SE2.from_xyt(points[best, 0], points[best, 1], 0.0)
 
 

@@ -74,12 +74,6 @@ def true_map(tmp_path_factory):
 
 
 @pytest.fixture
-def few_candidates(monkeypatch):
-    """A search draws as many poses per square metre of the arena as of a house."""
-    monkeypatch.setattr("turtlebag.pipeline.localisation.global_search.CANDIDATES", 5000)
-
-
-@pytest.fixture
 def no_workers(monkeypatch):
     """Campaigns whose cases all end at once with the same numbers."""
     import turtlebag.pipeline.campaign.sweep

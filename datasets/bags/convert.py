@@ -1,33 +1,20 @@
-"""Convert recordings: ROS 1 .bag to and from rosbag2 (mcap or sqlite3), and CARMEN logs to rosbag2."""
+"""Convert recordings to rosbag2 (mcap or sqlite3): bags of ROS 1 and 2, and CARMEN logs."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
 
-from turtlebag.datasets.bags.copying import (
-    Copier,
-    Untranslatable,
-    Write,
-    as_ros2,
-    into_mcap,
-    is_latched,
-    store_of,
-    to_ros1,
-)
+from turtlebag.datasets.bags.copying import Copier, Untranslatable, Write, as_ros2, into_mcap
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.selection import EVERYTHING, Selection
 from turtlebag.datasets.bags.source import Bag, open_bag
-from turtlebag.datasets.bags.topics import qos_profiles
+from turtlebag.datasets.bags.topics import Topic, qos_profiles
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Odometry, Recording, Twist
@@ -44,7 +31,7 @@ def to_sqlite3(path: Path, folder: Path, selection: Selection = EVERYTHING) -> t
     """Copy a bag into a new rosbag2 folder with sqlite3 storage; returns the message count and notes."""
     bag = open_bag(path)
     try:
-        with Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
             for key, value in bag.custom_data().items():
                 writer.set_custom_data(key, value)
             return _copied(bag, Copier(partial(_register, writer)), selection)
@@ -52,7 +39,7 @@ def to_sqlite3(path: Path, folder: Path, selection: Selection = EVERYTHING) -> t
         raise InputError(f"{folder}: cannot be written ({error})") from None
 
 
-def _register(writer: Writer2, topic: Topic) -> Write:
+def _register(writer: Writer, topic: Topic) -> Write:
     topic, translate = as_ros2(topic)
     if not topic.definition or topic.encoding != "cdr":
         raise Untranslatable(f"{topic.name}: {topic.msgtype} has no definition, or is not CDR")
@@ -64,20 +51,6 @@ def _register(writer: Writer2, topic: Topic) -> Write:
         offered_qos_profiles=parse_qos(cast(Any, qos_profiles(topic.qos))),
     )
     return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
-
-
-def to_ros1_bag(path: Path, file: Path, selection: Selection = EVERYTHING) -> tuple[int, list[str]]:
-    """Copy a bag into a new ROS 1 .bag; returns the message count and notes."""
-    with Writer1(file) as writer:
-
-        def register(topic: Topic) -> Write:
-            text, digest, translate = _as_ros1(topic)
-            connection = writer.add_connection(
-                topic.name, topic.msgtype, msgdef=text, md5sum=digest, latching=int(is_latched(topic))
-            )
-            return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
-
-        return _copied(open_bag(path), Copier(register), selection)
 
 
 def carmen_to_mcap(recording: Recording, folder: Path) -> tuple[int, list[str]]:
@@ -95,13 +68,6 @@ def carmen_to_mcap(recording: Recording, folder: Path) -> tuple[int, list[str]]:
             writer.scan(scan.stamp_ns, scan)
             count += 1
     return count + 1, list(recording.notes)
-
-
-def _as_ros1(topic: Topic) -> tuple[str, str, Callable[[bytes], bytes]]:
-    if topic.encoding != "ros1":
-        return to_ros1(topic)
-    store = store_of(topic, ros2_header=False)
-    return topic.definition, store.generate_msgdef(topic.msgtype)[1], lambda data: data
 
 
 def _copied(bag: Bag, copier: Copier, selection: Selection) -> tuple[int, list[str]]:

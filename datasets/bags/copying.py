@@ -1,4 +1,4 @@
-"""Copy messages from one bag to another: the same bytes, or translated between ROS 1 and ROS 2."""
+"""Copy messages from one bag to another: the same bytes, or translated from ROS 1 to ROS 2."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.message import Message, Topic
-from turtlebag.datasets.bags.topics import definition, qos_profiles, typestore
+from turtlebag.datasets.bags.topics import Message, Topic, definition, qos_profiles, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
@@ -27,7 +26,7 @@ DAMAGED = (SerdeError, struct.error, ValueError, IndexError, OverflowError)
 
 
 class Untranslatable(ValueError):
-    """The definition of a type is unknown or cannot be expressed in the other layout."""
+    """The definition of a type is unknown or cannot be expressed in ROS 2's layout."""
 
 
 def completed(topic: Topic) -> Topic:
@@ -40,8 +39,8 @@ def completed(topic: Topic) -> Topic:
     )
 
 
-def store_of(topic: Topic, *, ros2_header: bool) -> Typestore:
-    """Types of one topic's definition, with the header of ROS 2 or of ROS 1."""
+def _store_of(topic: Topic) -> Typestore:
+    """Types of one topic's definition, with the header of ROS 2."""
     store = get_typestore(Stores.EMPTY)
     try:
         if not topic.definition:
@@ -50,8 +49,7 @@ def store_of(topic: Topic, *, ros2_header: bool) -> Typestore:
             types = _types_from_idl(topic.definition)
         else:
             types = dict(get_types_from_msg(topic.definition, topic.msgtype))
-        standard = typestore() if ros2_header else get_typestore(Stores.ROS1_NOETIC)
-        types[_HEADER] = standard.fielddefs[_HEADER]
+        types[_HEADER] = typestore().fielddefs[_HEADER]
         types.setdefault(_TIME, typestore().fielddefs[_TIME])
         store.register(types)
     except (TypesysError, KeyError, IndexError) as error:
@@ -71,7 +69,7 @@ def _types_from_idl(text: str) -> Typesdict:
 
 def to_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     """The topic as ROS 2 has it, and the translation of its messages from ROS 1's layout."""
-    store = store_of(topic, ros2_header=True)
+    store = _store_of(topic)
     text, _ = store.generate_msgdef(topic.msgtype, ros_version=2)
     msgtype = RENAMED.get(topic.msgtype, topic.msgtype)
     renamed = Topic(topic.name, msgtype, text, "ros2msg", topic.qos)
@@ -90,13 +88,6 @@ def as_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     if topic.encoding == "ros1":
         topic, translate = to_ros2(topic)
     return completed(topic), translate
-
-
-def to_ros1(topic: Topic) -> tuple[str, str, Callable[[bytes], bytes]]:
-    """ROS 1's definition text and md5 sum of a topic, and the translation of its CDR messages."""
-    store = store_of(topic, ros2_header=True)
-    text, digest = store_of(topic, ros2_header=False).generate_msgdef(topic.msgtype, ros_version=1)
-    return text, digest, lambda data: bytes(store.cdr_to_ros1(data, topic.msgtype))
 
 
 def is_latched(topic: Topic) -> bool:

@@ -183,6 +183,11 @@ def yaws_of(quaternions: Array) -> Array:
     return np.where(np.isfinite(norm) & (norm > 0.0), yaws, np.nan)
 
 
+def header(cursor: Cursor) -> tuple[int, str]:
+    """Stamp [ns] and frame of any message that begins with a header."""
+    return cursor.header()
+
+
 def laser_scan(cursor: Cursor) -> RawScan:
     """sensor_msgs/LaserScan."""
     stamp, frame = cursor.header()

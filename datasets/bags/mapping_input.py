@@ -6,16 +6,22 @@ from collections import Counter
 
 import numpy as np
 
+from turtlebag.datasets.bags.contents import Contents
 from turtlebag.datasets.bags.decode import RawScan
-from turtlebag.datasets.bags.odometry import find_odometry, in_file_order, odometry_at, sensor_matrix
-from turtlebag.datasets.bags.plausibility import stands_still
-from turtlebag.datasets.bags.scans import TURNED_OVER, assemble, turned_over
+from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.odometry import OdometrySource, find_odometry, odometry_at, sensor_pose
+from turtlebag.datasets.bags.plausibility import ARM_M, stands_still
+from turtlebag.datasets.bags.scans import assemble, turned_over
 from turtlebag.datasets.bags.source import Bag
-from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.bags.stamps import check_order, running
 from turtlebag.datasets.bags.topics import CLOUD, SCAN, way_out
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import Finding, Unusable, lines_of
+from turtlebag.datasets.plurals import listed
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Recording, Stamps
+from turtlebag.datasets.types import LidarSpec, Recording, Stamps
+
+_LASER = "--laser X,Y,YAW[,upside-down] sets its pose"
 
 
 class NoScans(InputError):
@@ -31,30 +37,40 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
 
     `topic` chooses among its LaserScan topics; without it /scan, or the only one.
     """
-    streams = Streams(bag)
-    notes = bag.notes
-    topic = _scan_topic(streams, topic)
-    scans, log_times = _of_one_laser(topic, streams.scans[topic], notes)
+    contents = Contents(bag)
+    topic = _scan_topic(contents, topic)
+    return recording_of(contents, topic, T_base_lidar, findings=bag.findings)
+
+
+def recording_of(
+    contents: Contents, topic: str, T_base_lidar: SE2 | None = None, *, findings: list[Finding]
+) -> Recording:
+    """The recording of one of the scan topics; Unusable when it cannot be mapped.
+
+    What is found is appended to `findings`, which are the recording's then.
+    """
+    path = contents.bag.path
+    scans, log_times = _of_one_laser(topic, contents.scans[topic], findings)
     try:
-        ranges, lidar = assemble(scans, notes)
+        ranges, lidar = assemble(topic, scans, log_times, findings)
     except ValueError as error:
-        raise InputError(f"{bag.path}: {topic}: {error}; there is nothing to map") from None
-    stamps = in_file_order([scan.stamp_ns for scan in scans], log_times, topic, notes)
+        remedy = "no scan has a usable geometry; there is nothing to map"
+        finding = Finding("beam angles", topic, str(error), len(scans), int(log_times[0]), remedy)
+        raise Unusable(path, finding) from None
+    own = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
+    stamps = running(topic, own, log_times, findings)
     if stands_still(stamps):
-        what = f"{topic}: all scans have the same stamp and the same recording time"
-        raise InputError(f"{bag.path}: {what}; without times no map can be made")
-    odometry = find_odometry(streams, scans[0].frame, notes)
+        what, remedy = "all scans have one stamp and one recording time", "without times no map can be made"
+        raise Unusable(path, Finding("no time", topic, what, len(scans), int(log_times[0]), remedy))
+    findings += check_order(topic, own, log_times, "file order kept")
+    odometry = find_odometry(contents, scans[0].frame, findings)
     if T_base_lidar is None:
-        T_base_lidar, over = _planar(
-            sensor_matrix(bag.path, streams.frames, odometry.base, scans[0].frame, notes), notes
-        )
-        if over:
-            lidar = turned_over(lidar)
-    T_odom_base = odometry_at(odometry, stamps, log_times, notes)
-    imu = streams.read_imu()
-    streams.note_left_out(notes)
+        T_base_lidar, lidar = _mounted(contents, topic, odometry, scans[0].frame, lidar, findings)
+    T_odom_base = odometry_at(odometry, topic, stamps, log_times, findings)
+    imu = contents.read_imu(findings)
+    findings += contents.findings()
     return Recording(
-        source=str(bag.path),
+        source=str(path),
         stamps_ns=stamps,
         ranges=ranges,
         lidar=lidar,
@@ -62,60 +78,108 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
         T_odom_base=T_odom_base,
         odometry=odometry.poses,
         imu=imu,
-        notes=tuple(notes),
+        notes=lines_of(findings),
+        findings=tuple(findings),
     )
 
 
 def _of_one_laser(
-    topic: str, found: list[tuple[int, RawScan]], notes: list[str]
+    topic: str, scans: list[tuple[int, RawScan]], findings: list[Finding]
 ) -> tuple[list[RawScan], Stamps]:
     """The scans of the most frequent frame and their log times: two lasers do not sit at one place."""
-    (main, count), *others = Counter(scan.frame for _, scan in found).most_common()
-    if others:
-        left = ", ".join(f"{number} of '{name}'" for name, number in others)
-        notes.append(f"{topic}: scans of several lasers; {count} of '{main}' used, {left} left out")
-    ours = [(time, scan) for time, scan in found if scan.frame == main]
+    frames = Counter(scan.frame for _, scan in scans)
+    main, count = frames.most_common(1)[0]
+    if len(frames) > 1:
+        named = ", ".join(f"'{name}' ({number})" for name, number in frames.most_common(12))
+        what, others = f"messages of {len(frames)} frames: {named}", len(scans) - count
+        findings.append(Finding("mixed frames", topic, what, others, remedy="the most frequent is used"))
+    ours = [(time, scan) for time, scan in scans if scan.frame == main]
     return [scan for _, scan in ours], np.array([time for time, _ in ours], dtype=np.int64)
 
 
-def _scan_topic(streams: Streams, wanted: str | None) -> str:
-    path, names = streams.bag.path, list(streams.scans)
+def _mounted(
+    contents: Contents,
+    topic: str,
+    odometry: OdometrySource,
+    sensor: str,
+    lidar: LidarSpec,
+    findings: list[Finding],
+) -> tuple[SE2, LidarSpec]:
+    """Planar pose of a laser on the robot, and the lidar as seen from above."""
+    T = sensor_pose(contents.frames, odometry.base, sensor)
+    if T is None:
+        findings.append(unplaced(contents.frames, topic, odometry.base, sensor))
+        return SE2.identity(), lidar
+    require_near(contents, topic, odometry.base, sensor, T)
+    up = float(T[2, 2])
+    if abs(up) < 0.98:
+        degrees = np.degrees(np.arccos(np.clip(abs(up), 0, 1)))
+        findings.append(Finding("mounting", topic, f"the laser is tilted by {degrees:.0f} degrees"))
+    if up < 0.0:
+        what = "the laser is mounted upside down"
+        findings.append(Finding("mounting", topic, what, remedy="its scans were flipped"))
+        lidar = turned_over(lidar)
+    return SE2.from_xyt(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), lidar
+
+
+def unplaced(frames: FrameTree, topic: str, base: str, sensor: str) -> Finding:
+    """That no fixed transforms say where the sensor of a topic sits."""
+    what = f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {listed(frames.frames())})"
+    kind = "frames do not connect" if frames.fixed else "no static transforms"
+    remedy = f"an upright laser at the robot's centre is assumed; {_LASER}"
+    return Finding(kind, topic, what, remedy=remedy)
+
+
+def require_near(contents: Contents, topic: str, base: str, sensor: str, T_base_sensor: Array) -> None:
+    """Unusable when a sensor would sit further from the robot than any is large."""
+    if (arm := float(np.linalg.norm(T_base_sensor[:3, 3]))) > ARM_M:
+        what = f"the transforms put the laser '{sensor}' {arm:.4g} m from '{base}' (millimetres?)"
+        finding = Finding("millimetres", topic, what, remedy="--laser X,Y,YAW sets its pose")
+        raise Unusable(contents.bag.path, finding)
+
+
+def _scan_topic(contents: Contents, wanted: str | None) -> str:
+    path, names = contents.bag.path, list(contents.scans)
     if wanted is not None:
-        return _wanted_topic(streams, wanted)
+        return _wanted_topic(contents, wanted)
     preferred = (
         [name for name in names if name == "/scan"] or [n for n in names if n.endswith("/scan")] or names
     )
     if len(preferred) == 1:
         return preferred[0]
     if names:
-        listed = ", ".join(names)
-        raise InputError(f"{path}: no /scan, and several LaserScan topics; choose one with --topic: {listed}")
-    why = next((note for note in streams.bag.notes if "damaged" in note or "cut off" in note), None)
-    if why:
-        raise InputError(f"{path}: no /scan could be read: {why}")
-    topics = way_out(streams.seen) or f"its topics: {', '.join(sorted(streams.seen)[:12]) or 'none'}"
-    message = f"{path}: no /scan (sensor_msgs/LaserScan) messages in this bag; {topics}"
-    raise NoScans(message, [name for name, msgtype in streams.seen.items() if msgtype == CLOUD])
+        choice = ", ".join(names)
+        raise InputError(f"{path}: no /scan, and several LaserScan topics; choose one with --topic: {choice}")
+    raise NoScans(f"{path}: {no_scans(contents)}", clouds_in(contents))
 
 
-def _wanted_topic(streams: Streams, wanted: str) -> str:
-    if wanted in streams.scans:
+def no_scans(contents: Contents) -> Finding:
+    """Why there are no scans to map with, and the way out if there is one."""
+    damaged = [*contents.findings(), *contents.bag.findings]
+    for finding in damaged:
+        of_scans = finding.kind == "damaged messages" and SCAN in contents.types[finding.topic]
+        if of_scans or finding.kind == "damaged file":
+            return Finding("no scans", "", f"no /scan could be read: {finding}")
+    what = "no /scan (sensor_msgs/LaserScan) messages in this bag"
+    return Finding("no scans", "", what, remedy=way_out(contents.types) or _topics(contents))
+
+
+def _wanted_topic(contents: Contents, wanted: str) -> str:
+    if wanted in contents.scans:
         return wanted
-    msgtype = streams.seen.get(wanted)
-    found = "not in this bag" if msgtype is None else f"of type {msgtype}"
-    if msgtype == SCAN:
-        found = "without a readable message"
-    topics = f"its topics: {', '.join(sorted(streams.seen)[:12]) or 'none'}"
-    told = way_out({wanted: msgtype} if msgtype is not None else {}) or topics
-    message = f"{streams.bag.path}: --topic {wanted} is {found}; {told}"
-    raise NoScans(message, [wanted] if msgtype == CLOUD else [])
+    types = contents.types.get(wanted, {})
+    state = f"of type {' and '.join(types)}" if types else "not in this bag"
+    if SCAN in types:
+        state = "without a readable message"
+    way = way_out({wanted: types}) or _topics(contents)
+    message = f"{contents.bag.path}: --topic {wanted} is {state}; {way}"
+    raise NoScans(message, [wanted] if CLOUD in types else [])
 
 
-def _planar(T_base_lidar: Array, notes: list[str]) -> tuple[SE2, bool]:
-    """Planar pose of the laser on the robot and whether it hangs upside down."""
-    T, up = T_base_lidar, float(T_base_lidar[2, 2])
-    if abs(up) < 0.98:
-        notes.append(f"the laser is tilted by {np.degrees(np.arccos(np.clip(abs(up), 0, 1))):.0f} degrees")
-    if up < 0.0:
-        notes.append(TURNED_OVER)
-    return SE2.from_xyt(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), up < 0.0
+def clouds_in(contents: Contents) -> list[str]:
+    """Topics of point clouds."""
+    return [name for name, types in contents.types.items() if CLOUD in types]
+
+
+def _topics(contents: Contents) -> str:
+    return f"its topics: {listed(contents.types)}"

@@ -13,8 +13,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, MetadataIndex, Schema, Statistics
 
-from turtlebag.datasets.bags.message import Topic, full_type
 from turtlebag.datasets.bags.sequential import Damage
+from turtlebag.datasets.bags.topics import Topic, full_type
 
 Read = Callable[[int, int], bytes]
 """Bytes of a file from the first offset up to the second."""

@@ -13,8 +13,8 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, DataEnd, Footer, Header
 
 from turtlebag.datasets.bags.mcap_index import HEAD, MAGIC, Read, read_index
-from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.sequential import Damage
+from turtlebag.datasets.bags.topics import Topic
 
 Choice = Callable[[Mapping[int, Topic]], Collection[int]]
 """Which of the channels, by their numbers, are asked for."""

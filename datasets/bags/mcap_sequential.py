@@ -12,8 +12,8 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Header, Metadata
 
 from turtlebag.datasets.bags.mcap_index import HEAD, MAGIC, Introduced, parsed, read_index
-from turtlebag.datasets.bags.message import Message, Wanted
 from turtlebag.datasets.bags.sequential import Damage, SequentialReader, State, unpacked_chunk
+from turtlebag.datasets.bags.topics import Message, Wanted
 from turtlebag.datasets.files import Unpacked, chunk_bound
 
 _LAST_OPCODE = Opcode.DATA_END

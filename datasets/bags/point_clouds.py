@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.bags.contents import Contents
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
-from turtlebag.datasets.bags.odometry import find_odometry, in_file_order, odometry_at, sensor_matrix
+from turtlebag.datasets.bags.mapping_input import require_near
+from turtlebag.datasets.bags.odometry import find_odometry, odometry_at, sensor_pose
 from turtlebag.datasets.bags.source import Bag, open_bag
-from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.bags.stamps import check_order, running
 from turtlebag.datasets.bags.topics import way_out
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import lines_of
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Cloud, Recording3D
 
@@ -89,11 +92,12 @@ def _seconds(given: NDArray, stamp_ns: int) -> Array | None:
 
 @dataclass(eq=False)
 class _Index:
-    """The clouds of one topic that can be decoded: their stamps, log times and frame."""
+    """The clouds of one topic: stamps, log times and frames, and the log times of those that are damaged."""
 
     stamps: list[int] = field(default_factory=list)
     log_times: list[int] = field(default_factory=list)
     frames: Counter[str] = field(default_factory=Counter)
+    damaged: list[int] = field(default_factory=list)
 
 
 class _Clouds:
@@ -115,23 +119,24 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
     """
     bag = open_bag(path)
     found: dict[str, _Index] = {}
-    bad = 0
 
     def note(name: str, log_time: int, data: bytes) -> None:
-        nonlocal bad
         index = found.setdefault(name, _Index())
         try:
             cloud = _points(bag.cursor(data))
         except BadMessage:
-            bad += 1
+            index.damaged.append(log_time)
             return
         index.stamps.append(cloud.stamp_ns)
         index.log_times.append(log_time)
         index.frames[cloud.frame] += 1
 
-    streams = Streams(bag, note_cloud=note)
-    chosen = _chosen_topic(path, list(found), topic, streams.seen)
-    index = found[chosen]
+    contents = Contents(bag, note_cloud=note)
+    chosen = _chosen_topic(contents, list(found), topic)
+    index, findings = found[chosen], bag.findings
+    for name, one in found.items():
+        if one.damaged:
+            contents.note_damaged(name, one.damaged, len(one.damaged) + len(one.stamps))
     if not index.stamps:
         raise InputError(f"{path}: {chosen}: no point cloud could be decoded")
     if len(index.frames) > 1:
@@ -140,38 +145,38 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
             f"{path}: {chosen}: clouds of several frames: {several}; record each lidar on its own topic"
         )
     (frame,) = index.frames
-    notes, log_times = list(bag.notes), np.array(index.log_times, dtype=np.int64)
-    stamps = in_file_order(index.stamps, log_times, chosen, notes)
-    odometry = find_odometry(streams, frame, notes)
-    known = len(notes)
-    T_base_lidar = sensor_matrix(path, streams.frames, odometry.base, frame, notes)
-    mounted = len(notes) == known
-    del notes[known:]
-    T_odom_base = odometry_at(odometry, stamps, log_times, notes)
-    imu = streams.read_imu()
-    streams.bad += bad
-    streams.note_left_out(notes)
+    log_times = np.array(index.log_times, dtype=np.int64)
+    stamps = running(chosen, index.stamps, log_times, findings)
+    findings += check_order(chosen, index.stamps, log_times, "file order kept")
+    odometry = find_odometry(contents, frame, findings)
+    T_base_lidar = sensor_pose(contents.frames, odometry.base, frame)
+    if T_base_lidar is not None:
+        require_near(contents, chosen, odometry.base, frame, T_base_lidar)
+    T_odom_base = odometry_at(odometry, chosen, stamps, log_times, findings)
+    imu = contents.read_imu(findings)
+    findings += contents.findings()
     return Recording3D(
         source=str(path),
         stamps_ns=stamps,
         clouds=_Clouds(bag, chosen),
-        T_base_lidar=T_base_lidar,
-        mounted=mounted,
+        T_base_lidar=np.eye(4) if T_base_lidar is None else T_base_lidar,
+        mounted=T_base_lidar is not None,
         T_odom_base=T_odom_base,
         odometry=odometry.poses,
         imu=imu,
-        notes=tuple(notes),
+        notes=lines_of(findings),
+        findings=tuple(findings),
     )
 
 
-def _chosen_topic(path: Path, names: list[str], wanted: str | None, seen: Mapping[str, str]) -> str:
+def _chosen_topic(contents: Contents, names: list[str], wanted: str | None) -> str:
     if wanted in names:
         return str(wanted)
     if wanted is None and len(names) == 1:
         return names[0]
-    listed = ", ".join(names) or "none"
+    listed, path = ", ".join(names) or "none", contents.bag.path
     if wanted is None and names:
         raise InputError(f"{path}: several point cloud topics; choose one with --topic: {listed}")
     missing = wanted or "point cloud topic"
-    told = way_out(seen) or f"it has: {listed}"
+    told = way_out(contents.types) or f"it has: {listed}"
     raise InputError(f"{path}: no {missing} (sensor_msgs/PointCloud2) in this bag; {told}")

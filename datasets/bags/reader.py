@@ -12,9 +12,11 @@ import numpy as np
 
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
-from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.bags.topics import Topic
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import lines_of
+from turtlebag.datasets.plurals import listed
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory
 
@@ -126,7 +128,7 @@ def _decoded(
 def _missing(topic: str, seen: dict[str, str], what: str) -> str:
     if topic in seen:
         return f"{topic} holds no {what} (its type is {seen[topic]})"
-    return f"no {topic} in this bag; its topics: {', '.join(sorted(seen)[:12]) or 'none'}"
+    return f"no {topic} in this bag; its topics: {listed(seen)}"
 
 
 def bag_info(path: Path) -> BagInfo:
@@ -140,4 +142,4 @@ def bag_info(path: Path) -> BagInfo:
         ordered = np.sort(np.array(stamps, dtype=np.int64))
         gap = int(np.diff(ordered).max(initial=0))
         topics.append(TopicInfo(name, msgtype, len(stamps), int(ordered[0]), int(ordered[-1]), gap))
-    return BagInfo(path, bag.kind, tuple(bag.files), tuple(topics), tuple(bag.notes), bag.custom_data())
+    return BagInfo(path, bag.kind, tuple(bag.files), tuple(topics), lines_of(bag.findings), bag.custom_data())

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.bags.mcap_ranges import partial_mcap
-from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.sequential import Damage
 from turtlebag.datasets.bags.source import SUFFIXES, TRUTH_PREFIX
-from turtlebag.datasets.bags.topics import CLOUD, MAPPED, METADATA_FILE, SCAN
+from turtlebag.datasets.bags.topics import CLOUD, MAPPED, METADATA_FILE, SCAN, Topic
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.urls import filesystem, is_local, reason_of
 

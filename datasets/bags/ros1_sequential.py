@@ -14,9 +14,8 @@ from collections.abc import Generator, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from turtlebag.datasets.bags.message import Message, Topic, Wanted, full_type
 from turtlebag.datasets.bags.sequential import Damage, SequentialReader, State, unpacked_chunk
-from turtlebag.datasets.bags.topics import TOPICS, metadata_text
+from turtlebag.datasets.bags.topics import TOPICS, Message, Topic, Wanted, full_type, metadata_text
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.decode import RawScan
 from turtlebag.datasets.bags.plausibility import directed, limits_in_millimetres, ranges_in_millimetres
+from turtlebag.datasets.findings import Finding
 from turtlebag.datasets.no_return_range import no_return_value
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.types import LidarSpec
+from turtlebag.datasets.types import LidarSpec, Stamps
 
 Ranges = NDArray[np.float32]
 
 _OVERSAMPLING = 4
 """Beams of a grid for one of the scanner, where the scanner's own angles change from scan to scan."""
 _LONGEST_SWEEP_S = 60.0
+_SLOWER = 1.2
+"""Times between scans that a sweep may seem to take."""
 _ALIGNED = 0.05
 """Share of an increment that beams may lie beside the grid's without mattering."""
 _WORTH_SAYING = 0.01
-"""Share of readings at range_max that is more than noise at far walls (0.2 % in the simulated house)."""
-
-
-TURNED_OVER = "the laser is mounted upside down; its scans were flipped"
-"""The note of a recording whose laser does."""
+"""Share of readings that is more than noise (0.2 % are at range_max in the simulated house)."""
 
 
 class Geometry(NamedTuple):
@@ -51,23 +51,31 @@ class Geometry(NamedTuple):
         return math.isfinite(self.angle_max) and directed(self.angle_min, self.step(), self.n)
 
 
-def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarSpec]:
-    """(n_scans, n_beams) REP-117 ranges and the beam geometry; ValueError without one.
+def assemble(
+    topic: str, scans: Sequence[RawScan], log_times: Stamps, findings: list[Finding]
+) -> tuple[Ranges, LidarSpec]:
+    """(n_scans, n_beams) REP-117 ranges and the beam geometry of a topic's scans; ValueError without one.
 
-    The angles are those of `on_one_grid`, the readings in metres and normalised.
+    The angles are those of `on_one_grid`, the readings in metres and normalised. `log_times` (n_scans,) [ns].
     """
     keys = [_geometry(scan) for scan in scans]
     usable = Counter(key for key in keys if key.usable())
     if not usable:
-        raise ValueError("no scan has a usable geometry")
-    lidar = _lidar(usable.most_common(1)[0][0], scans, notes)
-    ranges, lidar = on_one_grid([scan.ranges for scan in scans], keys, lidar, notes)
-    lidar = _in_metres(ranges, lidar, notes)
-    return _normalised(ranges, lidar, notes), lidar
+        key = Counter(keys).most_common(1)[0][0]
+        raise ValueError(f"{key.n} readings from {key.angle_min:g} rad on, {key.step():g} rad apart")
+    lidar = _lidar(topic, usable.most_common(1)[0][0], scans, findings)
+    ranges, lidar = on_one_grid(topic, [scan.ranges for scan in scans], keys, lidar, findings)
+    findings += _empty(topic, scans, log_times)
+    lidar = _in_metres(topic, ranges, lidar, findings)
+    return _normalised(topic, ranges, lidar, findings), lidar
 
 
 def on_one_grid(
-    scans: Sequence[NDArray[np.floating]], keys: Sequence[Geometry], lidar: LidarSpec, notes: list[str]
+    topic: str,
+    scans: Sequence[NDArray[np.floating]],
+    keys: Sequence[Geometry],
+    lidar: LidarSpec,
+    findings: list[Finding],
 ) -> tuple[Ranges, LidarSpec]:
     """Scans of any geometries as (n_scans, n_beams), and the beams they are put on.
 
@@ -77,15 +85,21 @@ def on_one_grid(
     its increment.
     """
     usable = Counter(key for key in keys if key.usable())
-    count = usable.most_common(1)[0][1]
+    other = len(scans) - usable.most_common(1)[0][1]
+    sizes = sorted({key.n for key in usable})
+    varied = f" ({sizes[0]}..{sizes[-1]} readings)" if len(sizes) > 1 else ""
     beside = sum(number for key, number in usable.items() if not _aligned(key, lidar))
     if beside > 0.1 * len(scans):
         lidar = _finer(lidar)
-        notes.append(f"the beam angles change from scan to scan: put on a grid of {lidar.n_beams} beams")
+        what, remedy = "the beam angles change from scan to scan", f"put on a grid of {lidar.n_beams} beams"
+        findings.append(Finding("fence-post", topic, what + varied, other, remedy=remedy))
     elif len(usable) > 1:
-        notes.append(f"{len(scans) - count} scans of another geometry resampled to {lidar.n_beams} beams")
+        what, remedy = f"{other} scans of another geometry", f"resampled to {lidar.n_beams} beams"
+        findings.append(Finding("fence-post", topic, what + varied, other, remedy=remedy))
     if len(usable) < len(set(keys)):
-        notes.append(f"{sum(key not in usable for key in keys)} scans without a usable geometry left empty")
+        count = sum(key not in usable for key in keys)
+        what = f"{counted(count, 'scan')} without a usable geometry"
+        findings.append(Finding("beam angles", topic, what, count, remedy="left empty"))
     ranges = np.full((len(scans), lidar.n_beams), np.nan, dtype=scans[0].dtype)
     places = {key: _places(key, lidar) for key in usable}
     for row, scan, key in zip(ranges, scans, keys, strict=True):
@@ -100,30 +114,60 @@ def _geometry(scan: RawScan) -> Geometry:
     return Geometry(angle_min, angle_max, increment, range_min, range_max, len(scan.ranges))
 
 
-def _lidar(key: Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSpec:
+def _lidar(topic: str, key: Geometry, scans: Sequence[RawScan], findings: list[Finding]) -> LidarSpec:
+    """The beams of the most frequent geometry, with what drivers leave out or state wrongly made up for."""
     step, range_min, range_max = key.step(), key.range_min, key.range_max
     steps = (key.angle_max - key.angle_min) / step if step else 0.0
+    if not key.increment and key.n > 1:
+        remedy = f"angle_min and angle_max say {step:g} rad"
+        findings.append(Finding("beam angles", topic, "angle_increment is 0", len(scans), remedy=remedy))
     if abs(steps - (key.n - 1)) > 0.5:
-        spoken = f"angle_max implies {round(steps) + 1} beams, the scans have {key.n}"
-        notes.append(f"{spoken}; using the increment")
+        implied = f"angle_min, angle_max and the increment imply {round(steps) + 1}"
+        what = f"{key.n} readings, but {implied}"
+        findings.append(Finding("fence-post", topic, what, len(scans), remedy="the increment is used"))
     if not (math.isfinite(range_min) and range_min >= 0.0):
         range_min = 0.0
     if not (math.isfinite(range_max) and range_max > range_min):
-        notes.append(f"range_max is {range_max:g}; 100 m used")
         range_max = 100.0
+    if (range_min, range_max) != (key.range_min, key.range_max):
+        what = f"valid ranges {key.range_min:g}..{key.range_max:g} m"
+        remedy = f"{range_min:g}..{range_max:g} m used"
+        findings.append(Finding("range limits", topic, what, len(scans), remedy=remedy))
     times = [_median(scan.geometry[index] for scan in scans) for index in (3, 4)]
-    if abs(times[0]) * key.n > _LONGEST_SWEEP_S:
-        notes.append(f"time_increment implies a sweep of {abs(times[0]) * key.n:.3g} s; taken as 0")
-        times[0] = 0.0
+    sweep_s, period_s = abs(times[0]) * key.n, _period_s(scans)
+    if sweep_s > min(_LONGEST_SWEEP_S, _SLOWER * period_s):
+        every = f", a scan comes every {period_s:.3f} s" if math.isfinite(period_s) else ""
+        what = f"time_increment implies a sweep of {sweep_s:.3f} s{every}"
+        remedy = "taken as 0" if sweep_s > _LONGEST_SWEEP_S else ""
+        findings.append(Finding("sweep time", topic, what, len(scans), remedy=remedy))
+        times[0] = 0.0 if sweep_s > _LONGEST_SWEEP_S else times[0]
     return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
 
 
-def _in_metres(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> LidarSpec:
+def _period_s(scans: Sequence[RawScan]) -> float:
+    """The usual time from scan to scan [s]; infinite where stamps do not tell it."""
+    steps = np.diff(np.array([scan.stamp_ns for scan in scans], dtype=np.int64))
+    period = float(np.median(steps)) * 1e-9 if len(steps) else 0.0
+    return period if period > 0.0 else math.inf
+
+
+def _empty(topic: str, scans: Sequence[RawScan], log_times: Stamps) -> Iterator[Finding]:
+    """Scans without a number or without a return."""
+    nothing = np.array([bool(np.isnan(scan.ranges).all()) for scan in scans])
+    returns = np.array([bool((np.isfinite(scan.ranges) & (scan.ranges > 0.0)).any()) for scan in scans])
+    for empty, what in ((nothing, "are NaN only"), (~nothing & ~returns, "have no return at all")):
+        if count := int(np.count_nonzero(empty)):
+            first = int(log_times[np.argmax(empty)])
+            yield Finding("empty scans", topic, f"{count} of {len(scans)} scans {what}", count, first)
+
+
+def _in_metres(topic: str, ranges: Ranges, lidar: LidarSpec, findings: list[Finding]) -> LidarSpec:
     """The lidar in metres, and its readings in place, where a driver wrote millimetres."""
     if not ranges_in_millimetres(ranges[:: 1 + len(ranges) // 200], lidar.range_max):
         return lidar
     ranges /= np.float32(1000.0)
-    notes.append("the readings exceed any lidar's range; read as millimetres")
+    what = "the readings exceed any lidar's range"
+    findings.append(Finding("millimetres", topic, what, len(ranges), remedy="read as millimetres"))
     if not limits_in_millimetres(lidar.range_max):
         return lidar
     return replace(lidar, range_min=lidar.range_min / 1000.0, range_max=lidar.range_max / 1000.0)
@@ -178,28 +222,26 @@ def _places(key: Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
     return np.where((places >= 0) & (places < lidar.n_beams), places, -1)
 
 
-def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
+def _normalised(topic: str, ranges: Ranges, lidar: LidarSpec, findings: list[Finding]) -> Ranges:
     """REP-117: 0 and below is no measurement, from range_max on no return, within range_min too near."""
     with np.errstate(invalid="ignore"):
         zero = np.isfinite(ranges) & (ranges <= 0.0)
         far = np.isfinite(ranges) & lidar.silent(ranges)
         near = (ranges > 0.0) & (ranges < np.float32(lidar.range_min))
     ranges[zero], ranges[far], ranges[near] = np.nan, np.inf, -np.inf
-    if zero.any():
-        notes.append(
-            f"{100.0 * zero.mean():.1f} % of the readings are 0: treated as invalid, not as free space"
-        )
-    if far.mean() >= _WORTH_SAYING:
-        notes.append(
-            f"{100.0 * far.mean():.1f} % of the readings are at or past range_max: treated as no return"
-        )
     limit = no_return_value(ranges)
     piled = np.isfinite(ranges) & (ranges >= limit)
-    if piled.any():
-        ranges[piled] = np.inf
-        notes.append(
-            f"{100.0 * piled.mean():.1f} % of the readings pile up at {limit:g} m: treated as no return"
-        )
+    ranges[piled] = np.inf
+    for kind, which, what, remedy in (
+        ("zero readings", zero, "are 0", "read as invalid, not as free space"),
+        ("no-return readings", far, "are at or past range_max", "read as no return"),
+        ("no-return readings", piled, f"pile up at {limit:g} m", "read as no return"),
+    ):
+        share, count = float(which.mean()), int(np.count_nonzero(which))
+        if share >= _WORTH_SAYING or (which is piled and count):
+            findings.append(
+                Finding(kind, topic, f"{100.0 * share:.1f} % of the readings {what}", count, remedy=remedy)
+            )
     return ranges
 
 

@@ -6,12 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from turtlebag.datasets.bags.copying import DAMAGED, as_ros2, is_latched
-from turtlebag.datasets.bags.message import Message, Topic
 from turtlebag.datasets.bags.source import Bag
-from turtlebag.datasets.bags.topics import TRANSFORMS, typestore
+from turtlebag.datasets.bags.topics import TRANSFORMS, Message, Topic, typestore
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.findings import Finding
+from turtlebag.datasets.plurals import counted, listed
 
 _LONGEST_S = 1e10
 """Longer than any recording, and no more than a stamp can hold."""
@@ -50,7 +52,7 @@ class Selection:
                 message = message._replace(log_time_ns=start_ns)
             if start_ns <= message.log_time_ns <= end_ns:
                 yield from links.kept(message)
-        bag.notes += links.notes()
+        bag.findings += links.findings()
         _require_there(bag, "--exclude", "topic", self.exclude, topics)
         _require_there(bag, "--exclude-frame", "child frame", self.exclude_frames, links.children)
 
@@ -58,9 +60,9 @@ class Selection:
         """Log times [ns] of the first and the last moment to copy."""
         if self.start_s == 0.0 and self.end_s == math.inf:
             return 0, 1 << 64
-        known = len(bag.notes)
+        known = len(bag.findings)
         times = [message.log_time_ns for message in bag.messages()]
-        del bag.notes[known:]  # which the second reading adds again
+        del bag.findings[known:]  # which the second reading adds again
         first, last = min(times, default=0), max(times, default=0)
         start, end = (first + round(1e9 * min(s, _LONGEST_S)) for s in (self.start_s, self.end_s))
         if times and not any(start <= time <= end for time in times):
@@ -88,7 +90,7 @@ class _Links:
         try:
             topic, translate = as_ros2(message.topic)
             data = translate(message.data)
-            content = typestore().deserialize_cdr(data, topic.msgtype)
+            content: Any = typestore().deserialize_cdr(data, topic.msgtype)
         except DAMAGED:
             self._damaged[message.topic.name] += 1
             return
@@ -102,12 +104,14 @@ class _Links:
         if kept or not names:
             yield Message(topic, message.log_time_ns, data)
 
-    def notes(self) -> list[str]:
+    def findings(self) -> Iterator[Finding]:
         """What else was left out."""
-        return [f"{name}: {count} damaged messages left out" for name, count in self._damaged.items()]
+        for name, count in self._damaged.items():
+            what = f"{counted(count, 'message')} cannot be decoded"
+            yield Finding("damaged messages", name, what, count, remedy="left out")
 
 
 def _require_there(bag: Bag, option: str, what: str, wanted: Collection[str], there: Collection[str]) -> None:
     for name in wanted:
         if there and name not in there:
-            raise InputError(f"{option} {name}: no such {what}; {bag.path} has {', '.join(sorted(there))}")
+            raise InputError(f"{option} {name}: no such {what}; {bag.path} has {listed(there)}")

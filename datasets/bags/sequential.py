@@ -16,7 +16,7 @@ from typing import ClassVar
 import lz4.frame
 import zstandard
 
-from turtlebag.datasets.bags.message import Message, Wanted
+from turtlebag.datasets.bags.topics import Message, Wanted
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes, Unpacked
 

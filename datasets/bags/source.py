@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import re
+import sqlite3
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
 import yaml
 
 from turtlebag.datasets.bags.decode import Cursor, Ros1Cursor
 from turtlebag.datasets.bags.mcap_index import MAGIC
 from turtlebag.datasets.bags.mcap_sequential import McapReader
-from turtlebag.datasets.bags.message import Message, Wanted
-from turtlebag.datasets.bags.ros1_sequential import ROS1_MAGIC
-from turtlebag.datasets.bags.storage import messages_of, one_line
-from turtlebag.datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
+from turtlebag.datasets.bags.ros1_sequential import ROS1_MAGIC, Ros1Reader
+from turtlebag.datasets.bags.topics import (
+    CUSTOM_RECORD,
+    METADATA_FILE,
+    Message,
+    Topic,
+    Wanted,
+    full_type,
+    metadata_text,
+    qos_profiles,
+)
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
     chunk_bound,
@@ -28,31 +39,36 @@ from turtlebag.datasets.files import (
     unpack_zstd,
     unpack_zstd_file,
 )
+from turtlebag.datasets.findings import Finding, lines_of
 from turtlebag.datasets.yaml_files import plain_values
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
 
 MAGICS = {MAGIC: "mcap", b"SQLite format 3\0": "sqlite3", ROS1_MAGIC: "ros1"}
 _OLD_ROS1 = re.compile(rb"#ROS(?:RECORD|LOG) V(\d\.\d)")
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 LOGS, PACKED = (".clf", ".log"), (".gz", ".bz2")
 """Endings of CARMEN logs, and what may follow the ending of a bag or log."""
+_STOPPED = "read up to there; `turtlebag bag recover` also saves what follows"
 TRUTH_PREFIX = "/ground_truth"
 
 
 class Bag:
-    """A bag: its files in order. `notes` grows while messages are read."""
+    """A bag: its files in order. `findings` grows while messages are read."""
 
     def __init__(
         self,
         path: Path,
         kind: str,
         files: list[Path],
-        notes: list[str],
+        findings: list[Finding],
         custom: Mapping[str, str] | None = None,
         *,
         packed_messages: bool = False,
         keep: tempfile.TemporaryDirectory | None = None,
     ) -> None:
-        self.path, self.kind, self.files, self.notes = path, kind, files, notes
+        self.path, self.kind, self.files, self.findings = path, kind, files, findings
         self._custom = dict(custom or {})
         self._packed = packed_messages
         if keep is not None:  # the folder of unpacked files lives as long as the bag
@@ -66,9 +82,14 @@ class Bag:
         a file has changed since the bag was opened.
         """
         for file in self.files:
-            messages = messages_of(file, self.kind, wanted, self.notes, step_over=step_over)
+            messages = _messages_of(file, self.kind, wanted, self.findings, step_over=step_over)
             yield from self._unpacked(messages, file) if self._packed else messages
             require_same(file, self._before[file])
+
+    @property
+    def notes(self) -> list[str]:
+        """The findings, a line each."""
+        return list(lines_of(self.findings))
 
     def _unpacked(self, messages: Iterator[Message], file: Path) -> Iterator[Message]:
         """Messages that were compressed each by itself."""
@@ -76,7 +97,8 @@ class Bag:
             try:
                 data = unpack_zstd(message.data, chunk_bound(len(message.data)))
             except ValueError as error:
-                self.notes.append(f"{file.name}: damaged after {count} messages ({error}); read up to there")
+                what = f"damaged after {count} messages ({error})"
+                self.findings.append(Finding("damaged file", file.name, what, remedy="read up to there"))
                 return
             yield message._replace(data=data)
 
@@ -136,6 +158,12 @@ def is_bag(path: Path) -> bool:
     return _kind_of(path) is not None or PurePosixPath(path.name.lower()).suffix in SUFFIXES
 
 
+def is_carmen_log(path: Path) -> bool:
+    """Whether a file is a CARMEN log, by its name."""
+    endings = path.name.lower().split(".")[1:]
+    return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(endings))
+
+
 def _open_packed(path: Path) -> Bag:
     content, problem = read_unpacked(path)
     kind = _kind_by(content, path)
@@ -146,11 +174,12 @@ def _open_packed(path: Path) -> Bag:
     folder = tempfile.TemporaryDirectory(prefix="turtlebag-")
     unpacked = Path(folder.name) / path.stem
     unpacked.write_bytes(content)
-    return Bag(path, kind, [unpacked], [problem] if problem else [], keep=folder)
+    findings = [Finding("damaged file", "", problem)] if problem else []
+    return Bag(path, kind, [unpacked], findings, keep=folder)
 
 
 def _open_folder(path: Path) -> Bag:
-    notes: list[str] = []
+    findings: list[Finding] = []
     folder = path / "bag" if (path / "bag").is_dir() else path
     if (folder / METADATA_FILE).is_file():
         try:
@@ -159,13 +188,18 @@ def _open_folder(path: Path) -> Bag:
             # Nothing is wrong with the bag: who may not read it is told so, once, before any work.
             raise InputError(f"{folder / METADATA_FILE}: cannot be read ({error.strerror})") from None
         except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
-            notes.append(f"{METADATA_FILE} cannot be used ({one_line(error)}); reading the files beside it")
+            what = f"{METADATA_FILE} cannot be used ({one_line(error)})"
+            findings.append(Finding("missing metadata", "", what, remedy="the files beside it are read"))
     for suffix, kind in SUFFIXES.items():
         files = sorted(folder.glob("*" + suffix), key=lambda file: (len(file.name), file.name))
         if files:
-            if not notes:
-                notes.append(f"{METADATA_FILE} is missing: the recording may be unfinished")
-            return Bag(path, kind, files, notes)
+            if not findings:
+                what = f"{METADATA_FILE} is missing: the recording may be unfinished"
+                findings.append(Finding("missing metadata", "", what))
+            if kind == "ros1":
+                for file in files:
+                    _kind_of(file)  # which names an older version
+            return Bag(path, kind, files, findings)
     raise InputError(f"{path}: no bag in this folder (no {METADATA_FILE}, .mcap, .db3 or .bag file)")
 
 
@@ -198,3 +232,79 @@ def _unpacked_file(file: Path, folder: Path) -> Path:
     with unchanged(file):
         unpack_zstd_file(file, target)
     return target
+
+
+def _messages_of(
+    path: Path, kind: str, wanted: Wanted | None, findings: list[Finding], *, step_over: bool
+) -> Iterator[Message]:
+    """Messages of the wanted topics of a file of that kind, in its order.
+
+    Problems are appended to `findings`; damage ends the reading or, where that can be, is stepped over.
+    """
+    if kind == "sqlite3":
+        yield from _sqlite3_messages(path, wanted, findings)
+        return
+    file = McapReader(path) if kind == "mcap" else Ros1Reader(path)
+    yield from file.messages(wanted, step_over=step_over)
+    findings += _damage(path, file.state.problems, stopped=file.state.stopped)
+
+
+def _sqlite3_messages(path: Path, wanted: Wanted | None, findings: list[Finding]) -> Iterator[Message]:
+    """sqlite3 storage, read by rosbags."""
+    from rosbags.rosbag2 import Reader  # slow to import, and most bags are mcap
+
+    count = 0
+    try:
+        _require_readable_qos(path)
+        with Reader(path) as reader:
+            topics = {connection.id: _sqlite3_topic(connection) for connection in reader.connections}
+            chosen = [c for c in reader.connections if wanted is None or wanted(topics[c.id])]
+            for connection, time, data in reader.messages(chosen) if chosen else ():
+                yield Message(topics[connection.id], time, bytes(data))
+                count += 1
+    except (InputError, GeneratorExit):
+        raise
+    except Exception as error:
+        # rosbags raises whatever its parsers stumble over: struct, key and type errors too.
+        if not count:
+            raise InputError(f"{path}: damaged bag ({one_line(error)}); fetch or record it again") from None
+        findings += _damage(path, [f"damaged after {count} messages ({one_line(error)})"], stopped=True)
+    else:
+        with path.open("rb") as file:
+            page = int.from_bytes(file.read(18)[16:], "big")
+        if path.stat().st_size % (page if page > 1 else 1 << 16):  # SQLite takes what is missing for zeros
+            what = "cut off inside its last page: messages may be missing or damaged"
+            findings.append(Finding("damaged file", path.name, what))
+
+
+def _require_readable_qos(path: Path) -> None:
+    """yaml.YAMLError or ValueError unless rosbags, which reads it without a bound, can read what the topics
+    offer."""
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as file:
+        if any(column[1] == "offered_qos_profiles" for column in file.execute("PRAGMA table_info(topics)")):
+            for (qos,) in file.execute("SELECT offered_qos_profiles FROM topics"):
+                qos_profiles(qos)
+
+
+def one_line(error: Exception) -> str:
+    """An error's message in one line, for a note."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+def _sqlite3_topic(connection: Connection) -> Topic:
+    from rosbags.interfaces import ConnectionExtRosbag2
+    from rosbags.rosbag2.metadata import dump_qos_v9
+
+    qos = ""
+    if isinstance(connection.ext, ConnectionExtRosbag2) and connection.ext.offered_qos_profiles:
+        qos = metadata_text(dump_qos_v9(connection.ext.offered_qos_profiles))
+    form, text = connection.msgdef.format.name.lower(), connection.msgdef.data
+    return Topic(connection.topic, full_type(connection.msgtype), text, "ros2" + form, qos, connection.digest)
+
+
+def _damage(path: Path, problems: list[str], *, stopped: bool) -> list[Finding]:
+    """The problems of a file; reading stopped at the last one or went on."""
+    findings = [Finding("damaged file", path.name, problem) for problem in problems]
+    if stopped:
+        findings[-1] = replace(findings[-1], remedy=_STOPPED)
+    return findings

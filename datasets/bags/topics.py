@@ -1,11 +1,11 @@
-"""The topics of our bags: type and quality of service of each, and rosbag2's metadata about them."""
+"""Recorded topics and messages, the topics of our own bags, and rosbag2's metadata about them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
@@ -25,6 +25,7 @@ CUSTOM_RECORD = "custom_data"
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
+JOINTS = "sensor_msgs/msg/JointState"
 CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAPPED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 """Types that mapping reads, apart from point clouds."""
@@ -46,10 +47,10 @@ CONVERTERS = {
 """Types of lidar drivers that are not read, the ROS node that converts each, and to what."""
 
 
-def way_out(types: Mapping[str, str]) -> str:
-    """What converts the topics (name: type) of lidars in types that are not read; empty without any."""
+def way_out(types: Mapping[str, Iterable[str]]) -> str:
+    """What converts the topics (name: types) of lidars in types that are not read; empty without any."""
     lines = []
-    for name, msgtype in sorted(types.items()):
+    for name, msgtype in sorted((name, msgtype) for name, several in types.items() for msgtype in several):
         if msgtype in CONVERTERS:
             node, made = CONVERTERS[msgtype]
             kind, cloud = (text.replace("/msg/", "/") for text in (msgtype, made))
@@ -60,7 +61,37 @@ def way_out(types: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """Message type and the publisher's quality of service."""
+    """A recorded topic: ROS 2 type name and, where the file has them, definition and quality of service."""
+
+    name: str
+    msgtype: str
+    definition: str = ""
+    definition_format: str = ""
+    qos: str = ""
+    type_hash: str = ""
+    encoding: str = "cdr"
+
+
+class Message(NamedTuple):
+    """One message: its topic, log time [ns] and serialised bytes."""
+
+    topic: Topic
+    log_time_ns: int
+    data: bytes
+
+
+Wanted = Callable[[Topic], bool]
+
+
+def full_type(msgtype: str) -> str:
+    """Type name with the middle part that ROS 1 leaves out."""
+    parts = msgtype.split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else msgtype
+
+
+@dataclass(frozen=True, slots=True)
+class Publisher:
+    """Message type and quality of service of one of our own topics."""
 
     msgtype: str
     reliability: str = "reliable"
@@ -84,22 +115,22 @@ class Topic:
         ]
 
 
-TOPICS: dict[str, Topic] = {
-    "/scan": Topic("sensor_msgs/msg/LaserScan", reliability="best_effort", depth=5),
-    "/imu": Topic("sensor_msgs/msg/Imu", reliability="best_effort", depth=5),
-    "/odom": Topic("nav_msgs/msg/Odometry"),
-    "/joint_states": Topic("sensor_msgs/msg/JointState"),
-    "/tf": Topic("tf2_msgs/msg/TFMessage", depth=100),
-    "/tf_static": Topic("tf2_msgs/msg/TFMessage", durability="transient_local", depth=1),
-    "/cmd_vel": Topic("geometry_msgs/msg/Twist"),
-    "/cmd_vel_owner": Topic("std_msgs/msg/String", durability="transient_local", depth=1),
-    "/map": Topic("nav_msgs/msg/OccupancyGrid", durability="transient_local", depth=1),
-    "/amcl_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped"),
-    "/particlecloud": Topic("geometry_msgs/msg/PoseArray"),
-    "/plan": Topic("nav_msgs/msg/Path"),
-    "/goal_pose": Topic("geometry_msgs/msg/PoseStamped"),
-    "/points": Topic("sensor_msgs/msg/PointCloud2", reliability="best_effort", depth=5),
-    "/ground_truth/odom": Topic("nav_msgs/msg/Odometry"),
+TOPICS: dict[str, Publisher] = {
+    "/scan": Publisher("sensor_msgs/msg/LaserScan", reliability="best_effort", depth=5),
+    "/imu": Publisher("sensor_msgs/msg/Imu", reliability="best_effort", depth=5),
+    "/odom": Publisher("nav_msgs/msg/Odometry"),
+    "/joint_states": Publisher("sensor_msgs/msg/JointState"),
+    "/tf": Publisher("tf2_msgs/msg/TFMessage", depth=100),
+    "/tf_static": Publisher("tf2_msgs/msg/TFMessage", durability="transient_local", depth=1),
+    "/cmd_vel": Publisher("geometry_msgs/msg/Twist"),
+    "/cmd_vel_owner": Publisher("std_msgs/msg/String", durability="transient_local", depth=1),
+    "/map": Publisher("nav_msgs/msg/OccupancyGrid", durability="transient_local", depth=1),
+    "/amcl_pose": Publisher("geometry_msgs/msg/PoseWithCovarianceStamped"),
+    "/particlecloud": Publisher("geometry_msgs/msg/PoseArray"),
+    "/plan": Publisher("nav_msgs/msg/Path"),
+    "/goal_pose": Publisher("geometry_msgs/msg/PoseStamped"),
+    "/points": Publisher("sensor_msgs/msg/PointCloud2", reliability="best_effort", depth=5),
+    "/ground_truth/odom": Publisher("nav_msgs/msg/Odometry"),
 }
 
 

@@ -8,27 +8,34 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.datasets.types import Observation, RobotModel, Twist
+from turtlebag.pipeline.conformance.answers import (
+    BOOL,
+    INT,
+    broken,
+    require_answer,
+    require_attributes,
+    require_twist,
+    require_value,
+)
 from turtlebag.pipeline.conformance.trial_room import (
     HEIGHT_M,
     apart,
-    broken,
     bytes_of,
     made,
     require_near,
     room,
-    told,
 )
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver import Task, require_task
+from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.pipeline.navigation.driver_setup import Mission, Request
 from turtlebag.pipeline.navigation.drivers import Kit
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.planners.control.controller import Controller, require_twist
+from turtlebag.planners.control.controller import Controller
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import PlanConfig, fits
-from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
+from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan
 from turtlebag.planners.smoothing import path_length
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import CONTROL_HZ, SimConfig, Simulator
@@ -86,8 +93,10 @@ def _planned(
 ) -> Plan:
     one: GlobalPlanner = made(planner, GlobalPlanner, PlanConfig())
     plan = one.plan(costmap, model, start, goal, 1)
-    with told():
-        require_plan(one, plan)
+    require_answer(one, "plan", plan, Plan, poses=SE2, planner=str, length=(), margin=())
+    require_value(one, "plan: poses", plan.poses.xyt, (len(plan.poses), 3))
+    if len(plan.poses) < 2:
+        raise broken(one, "plan: a path needs at least two poses")
     return plan
 
 
@@ -132,8 +141,7 @@ def _driven(
     for _ in range(round(DRIVE_S / PERIOD)):
         command = one.command(pose, last, costmap)
         _require_command(one, "command", command, last, model)
-        if not isinstance(one.state, str):
-            raise broken(one, "state: must be a word")
+        require_attributes(one, "command", one, state=str)
         turned = SE2.from_xyt(0.0, 0.0, 0.5 * command.w * PERIOD)
         pose, last = pose @ turned @ SE2.from_xyt(command.v * PERIOD, 0.0, 0.0) @ turned, command
         poses.append(pose.xyt)
@@ -143,8 +151,7 @@ def _driven(
 
 def _require_command(part: object, method: str, command: Twist, last: Twist, model: RobotModel) -> None:
     """AssertionError unless it is a command that the robot can obey after the last one."""
-    with told():
-        require_twist(part, method, command)
+    require_twist(part, method, command)
     _require_within(part, method, command, model)
     changes = abs(command.v - last.v) / model.max_dv, abs(command.w - last.w) / model.max_dw
     if max(changes) > PERIOD + SLACK:
@@ -169,6 +176,15 @@ def check_task(task: Callable[[Any, Any], Task], *, on_a_map: bool = False) -> N
         raise broken(task, "the same seed must give the same bytes")
 
 
+def _require_task(one: Task, observation: Observation, command: object) -> None:
+    require_twist(one, "step", command)
+    require_attributes(one, "step", one, state=str, goal_index=INT, finished=BOOL, estimate=SE2 | None)
+    if one.estimate is not None:
+        require_value(one, "step: estimate", one.estimate.xyt, (3,))
+    if one.sensing.shown_ns != observation.stamp_ns:
+        raise broken(one, "step: its sensing must get every observation")
+
+
 def _run(task: Callable[[Any, Any], Task], on_a_map: bool) -> Array:
     """Its commands (n, 2); AssertionError where it touches something."""
     world, robot = room(), load_robot("burger")
@@ -188,8 +204,7 @@ def _run(task: Callable[[Any, Any], Task], on_a_map: bool) -> Array:
                 one.resume(Twist())
                 continue
             command = one.step(observation)
-            with told():
-                require_task(one, observation, command)
+            _require_task(one, observation, command)
             _require_within(one, "step", command, robot.model)
             commands.append([command.v, command.w])
             if one.finished:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Scan
+from turtlebag.pipeline.conformance.answers import BOOL, INT, broken, require_attributes, require_value
 from turtlebag.pipeline.conformance.trial_room import (
     HEIGHT_M,
     LIDAR,
     apart,
-    broken,
     bytes_of,
     lap,
     made,
@@ -22,10 +22,9 @@ from turtlebag.pipeline.conformance.trial_room import (
     require_information,
     require_near,
     room,
-    told,
     wheels,
 )
-from turtlebag.pipeline.localisation.localiser import Localiser, require_estimate
+from turtlebag.pipeline.localisation.localiser import Localiser
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 NEAR = 0.1, 0.05
@@ -76,8 +75,7 @@ def _localised(
     said = []
     for k in range(len(poses)):
         used = one.update(_scan(k, ranges[k]), SE2(odometry[k]), SE2(odometry[k]))
-        if not isinstance(used, bool | np.bool_):
-            raise broken(one, "update: must return whether the scan was used")
+        require_value(one, "update: whether the scan was used", used, BOOL)
         _require_estimate(one)
         require_information(one, "covariance", one.covariance)
         said.append(one.T_map_odom.xyt)
@@ -90,6 +88,18 @@ def _scan(k: int, ranges: NDArray[np.float32]) -> Scan:
     return Scan(10**9 + k * 200_000_000, ranges, LIDAR)
 
 
-def _require_estimate(localiser: Localiser) -> None:
-    with told():
-        require_estimate(localiser)
+def _require_estimate(one: Localiser) -> None:
+    try:
+        T_map_odom, covariance = one.T_map_odom, one.covariance
+    except ValueError as error:
+        raise broken(one, f"update: T_map_odom or covariance is not known after a scan: {error}") from None
+    require_attributes(
+        one, "update", one,
+        T_map_odom=SE2, converged=BOOL, agrees=BOOL, lost=BOOL, searches=INT, agreement=(), particles=SE2,
+    )  # fmt: skip
+    require_value(one, "update: T_map_odom", T_map_odom.xyt, (3,))
+    require_value(one, "update: covariance", covariance, (3, 3))
+    if not -1e-6 <= one.agreement <= 1.0 + 1e-6:
+        raise broken(one, f"update: agreement must be a share 0..1, not {one.agreement:g}")
+    if one.particles.xyt.ndim != 2 or not len(one.particles):
+        raise broken(one, "update: particles must be poses (n,), at least one")

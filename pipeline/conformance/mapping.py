@@ -11,25 +11,31 @@ import numpy as np
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.conformance.answers import (
+    BOOL,
+    INT,
+    broken,
+    require_answer,
+    require_value,
+)
 from turtlebag.pipeline.conformance.trial_room import (
     LIDAR,
     apart,
-    broken,
     bytes_of,
     lap,
     log,
     made,
     require_information,
     require_near,
-    told,
 )
-from turtlebag.pipeline.slam.back_end import BackEnd, solved
+from turtlebag.pipeline.slam.back_end import BackEnd
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
 from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.front_end import FrontEnd
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
-from turtlebag.pipeline.slam.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch
+from turtlebag.pipeline.slam.point_to_line_icp import Alignment
+from turtlebag.pipeline.slam.track import HYPOTHESES, Track, TrackingConfig
 from turtlebag.pipeline.slam.tracker import Tracker
 
 OFF = 0.1, 0.05
@@ -70,24 +76,43 @@ def _tracked(front_end: Callable[[Any], FrontEnd], recording: Recording) -> Trac
     given = (*clouds, odometry, recording.stamps_ns)
     before = bytes_of(*given)
 
-    def make(tracker: Tracker) -> FrontEnd:
-        one: FrontEnd = made(front_end, FrontEnd, tracker)
-        return one
-
-    tracker = Tracker(clouds, recording, TrackingConfig(calibration=False), LIDAR.range_max, make)
-    with told():
-        for wait_s in seconds(np.diff(recording.stamps_ns)).tolist():
-            tracker.step(wait_s)
-            for what, value, most in (
-                ("overlap", tracker.placed.overlap, 1.0),
-                ("known", tracker.placed.known, 1.0),
-                ("rmse", tracker.placed.rmse, np.inf),
-            ):
-                if not 0.0 <= value <= most:
-                    raise broken(front_end, f"step: {what} is {value:g}, it must be 0 to {most:g}")
+    tracker = Tracker(
+        clouds,
+        recording,
+        TrackingConfig(calibration=False),
+        LIDAR.range_max,
+        lambda tracker: _Checked(made(front_end, FrontEnd, tracker), tracker),
+    )
+    for wait_s in seconds(np.diff(recording.stamps_ns)).tolist():
+        tracker.step(wait_s)
     if bytes_of(*given) != before:
         raise broken(front_end, "it must not change the points, odometry or stamps that it is given")
     return tracker.track()
+
+
+class _Checked(FrontEnd):
+    """A front end whose every answer is looked at."""
+
+    def __init__(self, part: FrontEnd, tracker: Tracker) -> None:
+        self._part, self._tracker = part, tracker
+
+    def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
+        """As the part says; AssertionError where that is not what `Placed` describes."""
+        placed = self._part.step(points, odometry_step, wait_s)
+        require_answer(
+            self._part, "step", placed, Placed,
+            T_track_base=(3,), information=(3, 3), overlap=(), known=(), rmse=(), sure=BOOL, source=INT,
+        )  # fmt: skip
+        for what, most in (("overlap", 1.0), ("known", 1.0), ("rmse", np.inf)):
+            if not 0.0 <= (value := getattr(placed, what)) <= most:
+                raise broken(self._part, f"step: {what} is {value:g}, it must be 0 to {most:g}")
+        if placed.source not in range(len(HYPOTHESES)):
+            raise broken(self._part, f"step: source must be 0 to {len(HYPOTHESES) - 1}, of track.HYPOTHESES")
+        for pair in placed.revised:
+            if not isinstance(pair, tuple) or pair[0] not in range(self._tracker.scan):
+                raise broken(self._part, "step: revised must be scans before this one, with their poses")
+            require_value(self._part, "step: a revised pose", pair[1], (3,))
+        return placed
 
 
 def _check_hostile(front_end: Callable[[Any], FrontEnd], recording: Recording, said: str) -> None:
@@ -149,8 +174,8 @@ def _matched(
 ) -> tuple[Array, Array, float]:
     one = made(matcher, LoopMatch)
     found = one.match(clouds, query, place, start, ROUGH)
-    with told():
-        require_alignment(one, found)
+    require_answer(one, "match", found, Alignment, information=(3, 3), overlap=(), known=(), rmse=())
+    require_value(one, "match: T_map_base", found.T_map_base.xyt, (3,))
     return found.T_map_base.xyt, found.information, float(found.overlap)
 
 
@@ -187,5 +212,8 @@ def check_back_end(back_end: Callable[[], BackEnd]) -> None:
 
 
 def _optimised(back_end: Callable[[], BackEnd], start: SE2, graph: list[Constraint]) -> SE2:
-    with told():
-        return solved(made(back_end, BackEnd), start, graph)
+    one: BackEnd = made(back_end, BackEnd)
+    found = one.optimise(start, graph)
+    require_answer(one, "optimise", found, SE2)
+    require_value(one, "optimise: poses", found.xyt, (len(start), 3))
+    return found

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.parts import require, require_attributes
+from turtlebag.datasets.parts import require
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.pipeline.conformance.answers import broken
 from turtlebag.sim.raycast import cast
 from turtlebag.sim.shapes import box, sections
 from turtlebag.sim.world import World
@@ -33,12 +34,6 @@ BOXES = (
 """Centres and sizes [m]: four walls, a pillar, a cupboard."""
 
 
-def broken(part: object, text: str) -> AssertionError:
-    """What a check raises: which part, and what the contract asks."""
-    kind = part if inspect.isclass(part) else type(part)
-    return AssertionError(f"{kind.__module__}:{kind.__qualname__}: {text}")
-
-
 def made(part: Callable[..., Any], contract: type, *given: object) -> Any:
     """The part, made as its contract says; AssertionError where it is not what that asks for."""
     if not callable(part):
@@ -50,8 +45,11 @@ def made(part: Callable[..., Any], contract: type, *given: object) -> Any:
         # The same contract for who is made otherwise: by a function, with settings of its own.
         methods = {name: value for name, value in vars(contract).items() if name != "__init__"}
         require(type(one), type(contract.__name__, (), methods))
-        require_attributes(one, contract)
-        return one
+    named = [key for key, value in vars(contract).items() if isinstance(value, property)]
+    for key in [*named, *inspect.get_annotations(contract)]:
+        if inspect.getattr_static(one, key, contract) is contract:
+            raise broken(one, f"has no {key}, which {contract.__name__} requires")
+    return one
 
 
 @contextmanager

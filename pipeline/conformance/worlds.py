@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from turtlebag.pipeline.conformance.trial_room import HEIGHT_M, broken, bytes_of, made, told
+import numpy as np
+
+from turtlebag.pipeline.conformance.answers import broken, require_answer, require_value
+from turtlebag.pipeline.conformance.trial_room import HEIGHT_M, bytes_of, made, told
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
-from turtlebag.sim.shapes import contains, sections
+from turtlebag.sim.shapes import Solid, contains, sections
 from turtlebag.sim.world import World, WorldMaker
-from turtlebag.sim.worlds import require_world
 
 
 def check_world(maker: Callable[[str], WorldMaker], options: str = "") -> None:
@@ -21,8 +23,8 @@ def check_world(maker: Callable[[str], WorldMaker], options: str = "") -> None:
     for _ in range(2):
         one: WorldMaker = made(maker, WorldMaker, options)
         world = one.world()
+        _require_world(one, world)
         with told():
-            require_world(one, world)
             radius = load_robot(world.robot).model.circumscribed_radius
         worlds.append(world)
     first, again = (_drawn(world) for world in worlds)
@@ -38,6 +40,18 @@ def check_world(maker: Callable[[str], WorldMaker], options: str = "") -> None:
         x0, x1, y0, y1 = solid.bounds()
         if x0 < low[0] or y0 < low[1] or x1 > high[0] or y1 > high[1]:
             raise broken(maker, f"world: bounds must hold all shapes, and {solid.name} reaches beyond")
+
+
+def _require_world(maker: WorldMaker, world: World) -> None:
+    require_answer(maker, "world", world, World, name=str, robot=str)
+    require_value(maker, "world: spawn", world.spawn.xyt, (3,))
+    require_value(maker, "world: bounds", np.array(world.bounds, dtype=np.float64), (4,))
+    if not world.shapes:
+        raise broken(maker, "world: needs at least one shape")
+    for solid in world.shapes:
+        require_value(maker, "world: shape", solid, Solid)
+    for outline in (*world.keepout, *world.routes.values()):
+        require_value(maker, "world: keepout or route", outline, (len(outline), 2))
 
 
 def _drawn(world: World) -> bytes:

@@ -14,7 +14,7 @@ import numpy as np
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec, Scan
-from turtlebag.pipeline.localisation import motion_model, resampling
+from turtlebag.pipeline.localisation import motion_model
 from turtlebag.pipeline.localisation.deskewed_beams import Beams, prepare
 from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
 from turtlebag.pipeline.localisation.fine_pose import FinePose
@@ -22,19 +22,7 @@ from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.likelihood_field import LikelihoodField
 from turtlebag.pipeline.localisation.lost_detection import ALIKE, DIFFERENT, AgreementWatch
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-
-
-@dataclass
-class _Cloud:
-    """Particles (n, 3) in the map frame and their normalised weights (n,)."""
-
-    poses: Array
-    weights: Array
-
-    @classmethod
-    def even(cls, poses: Array) -> _Cloud:
-        """All particles weigh the same."""
-        return cls(poses, np.full(len(poses), 1.0 / len(poses)) if len(poses) else np.zeros(0))
+from turtlebag.pipeline.localisation.resampling import Cloud
 
 
 @dataclass
@@ -68,12 +56,13 @@ class Amcl:
         self.beams: Beams | None = None
         """The scan of the last update; None before the first."""
         self.watch = AgreementWatch(config)
+        self.cloud = Cloud.even(np.zeros((0, 3)))
+        """The particles, in the map frame."""
         limits = config.range_limits(lidar)
         self._prepare = functools.partial(prepare, T_base_lidar=T_base_lidar, range_limits=limits)
         self._sensor = LikelihoodField(config, self.search.field, self.search.range_max)
         self._fine = FinePose(grid) if config.refine else None
         self._rng = rng
-        self._cloud = _Cloud.even(np.zeros((0, 3)))
         self._at = _Located()
 
     @property
@@ -107,12 +96,12 @@ class Amcl:
     @property
     def particles(self) -> SE2:
         """The cloud in the map frame, (n,)."""
-        return SE2(self._cloud.poses.copy())
+        return SE2(self.cloud.poses.copy())
 
     @property
     def size(self) -> int:
         """How many particles there are."""
-        return len(self._cloud.poses)
+        return len(self.cloud.poses)
 
     @property
     def agreement(self) -> float:
@@ -185,7 +174,7 @@ class Amcl:
         return self.watch.contradicted_by(self.search.agreement(self.T_map_base(T_odom_base).xyt, beams))
 
     def _restart(self, poses: Array, watch: AgreementWatch) -> None:
-        self._cloud, self._at, self.watch = _Cloud.even(poses), _Located(), watch
+        self.cloud, self._at, self.watch = Cloud.even(poses), _Located(), watch
         if self._fine is not None:
             self._fine.forget()
 
@@ -206,34 +195,21 @@ class Amcl:
         c = self.config
         step = motion_model.decompose(T_last_base)
         std = motion_model.noise_std(step, (c.alpha1, c.alpha2, c.alpha3, c.alpha4))
-        poses = self._cloud.poses
+        poses = self.cloud.poses
         motion_model.move(poses, step, self._rng.standard_normal(poses.shape) * std)
         if self._fine is not None:
             self._fine.predict(T_last_base, step, std)
 
     def _weigh(self, beams: Beams) -> None:
-        cloud = self._cloud
-        log_weights = np.log(np.maximum(cloud.weights, 1e-300))
-        log_weights += (self.search.log_likelihood if self.lost else self._sensor.weigh)(cloud.poses, beams)
-        weights = np.exp(log_weights - log_weights.max())
-        cloud.weights = weights / weights.sum()
+        likelihood = self.search.log_likelihood if self.lost else self._sensor.weigh
+        self.cloud = self.cloud.weighed(likelihood(self.cloud.poses, beams))
 
     def _resample(self, beams: Beams) -> None:
-        c, cloud, random = self.config, self._cloud, self._rng.random
         share = self.watch.search_share()
-        if share == 0.0:
-            if (self.watch.updates + 1) % c.resample_interval:
-                return
-            if c.selective_resampling and resampling.effective_size(cloud.weights) > 0.5 * self.size:
-                return
-        found = self._found(share, beams) if share > 0.0 else None
-        pool = resampling.low_variance(cloud.weights, c.max_particles, random())
-        drawn = cloud.poses[self._rng.permutation(pool)]
-        bins = resampling.bin_numbers(drawn, resampling.BIN_M, resampling.BIN_RAD)
-        count = resampling.kld_count(bins, c.kld_err, c.kld_z, c.min_particles)
-        new = 0 if found is None else int(share * count)
-        kept = cloud.poses[resampling.low_variance(cloud.weights, count - new, random())]
-        self._cloud = _Cloud.even(kept if found is None else np.concatenate([kept, found[:new]]))
+        if share > 0.0:
+            self.cloud = self.cloud.resampled(self.config, self._rng, self._found(share, beams), share)
+        elif self.cloud.due(self.config, self.watch.updates + 1):
+            self.cloud = self.cloud.resampled(self.config, self._rng)
 
     def _found(self, share: float, beams: Beams) -> Array | None:
         """Poses from a search, in random order; None if they explain the scan hardly better than the estimate
@@ -258,11 +234,11 @@ class Amcl:
 
     def _agreement_of(self, poses: Array, beams: Beams) -> float:
         """Agreement of scan and map at the main cluster of equally likely poses (n, 3)."""
-        there = main_cluster(poses, _Cloud.even(poses).weights).T_map_base
+        there = main_cluster(poses, Cloud.even(poses).weights).T_map_base
         return self.search.agreement(there.xyt, beams)
 
     def _estimate_pose(self, beams: Beams, T_base_odom: SE2) -> None:
-        estimate = main_cluster(self._cloud.poses, self._cloud.weights)
+        estimate = main_cluster(self.cloud.poses, self.cloud.weights)
         T_map_base = estimate.T_map_base
         if self._fine is not None:
             T_map_base = self._fine.correct(estimate, beams.points)

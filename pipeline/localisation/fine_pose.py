@@ -34,7 +34,8 @@ class FinePose:
     def __init__(self, grid: OccupancyGrid) -> None:
         self._surfaces = fit_surfaces(grid)
         self._filter: WallFilter | None = None
-        self._share = FIRST_SHARE
+        self.share = FIRST_SHARE
+        """Share of the alphas' standard deviation that odometry is believed to have."""
 
     def forget(self) -> None:
         """Stop tracking until the cloud is narrow again."""
@@ -43,32 +44,32 @@ class FinePose:
     def predict(self, T_base_new: SE2, motion: tuple[float, float, float], std: Array) -> None:
         """Move by odometry: the motion, decomposed, and the standard deviations (3,) of its parts."""
         if self._filter is not None:
-            self._filter.predict(T_base_new, motion, self._share * std)
+            self._filter.predict(T_base_new, motion, self.share * std)
 
     def correct(self, cloud: Estimate, points_base: Array) -> SE2:
         """Pose after a scan's end points (n, 2) in the base frame; the mean of the cloud if it is too
         wide."""
         if self._filter is not None:
-            self._learn(self._filter.correct(points_base))
-            if _agree(self._filter.T_map_base, cloud):
+            self.share = next_share(self.share, self._filter.correct(points_base))
+            if agree(self._filter.T_map_base, cloud):
                 return self._filter.T_map_base
         self._filter = self._started(cloud)
         if self._filter is None:
             return cloud.T_map_base
         self._filter.correct(points_base)
         T_map_base = self._filter.T_map_base
-        return T_map_base if _agree(T_map_base, cloud) else cloud.T_map_base
-
-    def _learn(self, nis: float) -> None:
-        """Trust odometry more or less."""
-        share = self._share * (1.0 + SHARE_RATE * (nis - USUAL_NIS))
-        self._share = min(max(share, LEAST_SHARE), 1.0)
+        return T_map_base if agree(T_map_base, cloud) else cloud.T_map_base
 
     def _started(self, cloud: Estimate) -> WallFilter | None:
         return WallFilter(self._surfaces, cloud.T_map_base, cloud.core) if narrow(cloud.core) else None
 
 
-def _agree(T_map_base: SE2, cloud: Estimate) -> bool:
+def next_share(share: float, nis: float) -> float:
+    """The share of the alphas after a scan: odometry is trusted less if the scan's NIS is above the usual."""
+    return min(max(share * (1.0 + SHARE_RATE * (nis - USUAL_NIS)), LEAST_SHARE), 1.0)
+
+
+def agree(T_map_base: SE2, cloud: Estimate) -> bool:
     """Whether a pose is within three standard deviations of the cloud, or within what counts as narrow
     anyway."""
     offset = np.abs(T_map_base.xyt - cloud.T_map_base.xyt)

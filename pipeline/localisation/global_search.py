@@ -76,7 +76,7 @@ class GlobalSearch:
 
     def log_likelihood(self, poses: Array, beams: Beams) -> Array:
         """Flattened log likelihood (n,) of poses (n, 3) in the map frame."""
-        return STEEPEST * self._score(poses, beams)
+        return STEEPEST * self.path_log_likelihood(poses, beams)
 
     def agreement(self, pose: Array, beams: Beams) -> float:
         """Share of the beams, 0..1, that the map explains from a pose (3,): near 1 at the right place."""
@@ -108,15 +108,16 @@ class GlobalSearch:
         for shake in SHAKES:
             if without is not None and len(poses := poses[~without(poses)]) == 0:
                 return poses
-            weights = tempered(self._score(poses, beams))
+            weights = tempered(self.path_log_likelihood(poses, beams))
             poses = poses[low_variance(weights, STAGE_PARTICLES, rng.random())]
             poses = poses + rng.standard_normal(poses.shape) * shake
-        weights = tempered(self._score(poses, beams))
+        weights = tempered(self.path_log_likelihood(poses, beams))
         poses = poses[rng.permutation(low_variance(weights, count, rng.random()))]
         poses[:, 2] = wrap(poses[:, 2])
         return poses
 
-    def _score(self, poses: Array, beams: Beams) -> Array:
+    def path_log_likelihood(self, poses: Array, beams: Beams) -> Array:
+        """Log likelihood (n,) of poses (n, 3) in the map frame, as if the beams were independent."""
         p = path_probabilities(*self._arguments(poses, beams, MOST_HITS))
         return np.log(p).sum(axis=1)
 

@@ -7,7 +7,6 @@ from typing import Protocol
 import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation.deskewed_beams import Beams
@@ -102,24 +101,3 @@ class Localiser(Protocol):
     def beams(self) -> Beams | None:
         """The last used scan, for comparing pose hypotheses; None disables that."""
         ...
-
-
-def require_estimate(localiser: Localiser) -> None:
-    """InputError unless its attributes are valid after a scan."""
-    answer = Answer(localiser, "update")
-    try:
-        T_map_odom, covariance = localiser.T_map_odom, localiser.covariance
-    except ValueError as error:
-        raise answer.wrong(f"T_map_odom or covariance is not known after a scan: {error}") from None
-    answer.require_a(SE2, T_map_odom)
-    answer.require_finite("T_map_odom", T_map_odom.xyt, 3)
-    answer.require_finite("covariance", covariance, 3, 3)
-    for what in ("converged", "agrees", "lost"):
-        answer.require_kind(what, getattr(localiser, what), bool, np.bool_)
-    answer.require_kind("searches", localiser.searches, int, np.integer)
-    answer.require_finite("agreement", localiser.agreement)
-    if not -1e-6 <= localiser.agreement <= 1.0 + 1e-6:
-        raise answer.wrong(f"agreement must be a share 0..1, not {localiser.agreement:g}")
-    answer.require_kind("particles", localiser.particles, SE2)
-    if localiser.particles.xyt.ndim != 2 or not len(localiser.particles):
-        raise answer.wrong("particles must be poses (n,), at least one")

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.parts import chosen, part_of, require_attributes
+from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.localisation.amcl import Amcl
@@ -30,5 +30,4 @@ def make_localiser(
 ) -> Localiser:
     """The localiser of that name; InputError if it is a user's class that cannot be loaded."""
     made: Localiser = chosen(name, {"amcl": Amcl}, Localiser)(grid, lidar, T_base_lidar, config, rng)
-    require_attributes(made, Localiser)
     return made

@@ -54,10 +54,10 @@ class Aliasing:
         """
         here = [T_map_odom @ scan.T_odom_base for scan in scans]
         found = [SE2.identity()]
-        fits = [self._polished(found[0], scans, here)[0]]
+        fits = [self.polish(found[0], scans, here)[0]]
         for scan, T_map_base in zip(scans, here, strict=True):
-            for pose in self._places(scan.beams, [known @ T_map_base for known in found]):
-                fit, T_map_map = self._polished(SE2.from_array(pose) @ T_map_base.inverse(), scans, here)
+            for pose in self.places(scan.beams, [known @ T_map_base for known in found]):
+                fit, T_map_map = self.polish(SE2.from_array(pose) @ T_map_base.inverse(), scans, here)
                 # What was drawn beside a peak explains less, and must not stand for the place.
                 explains = fit > max(LEAST_FIT, max(fits) - ALIKE)
                 if explains and all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
@@ -68,9 +68,9 @@ class Aliasing:
     def fits(self, hypotheses: Sequence[SE2], scan: Keyframe, T_map_odom: SE2) -> Array:
         """Agreement of a scan with the map under each of the hypotheses (n,), at the best pose near by."""
         here = [T_map_odom @ scan.T_odom_base]
-        return np.array([self._polished(T_map_map, [scan], here)[0] for T_map_map in hypotheses])
+        return np.array([self.polish(T_map_map, [scan], here)[0] for T_map_map in hypotheses])
 
-    def _places(self, beams: Beams, known: Sequence[SE2]) -> list[Array]:
+    def places(self, beams: Beams, known: Sequence[SE2]) -> list[Array]:
         """Centres (3,) of the clusters of poses that one scan alone makes likely: a share that counts.
 
         Places that are `known` are not drawn: the likeliest would leave few poses to the others.
@@ -86,15 +86,17 @@ class Aliasing:
             poses = poses[~near]
         return places
 
-    def _polished(self, T_map_map: SE2, scans: Sequence[Keyframe], here: Sequence[SE2]) -> tuple[float, SE2]:
+    def polish(self, T_map_map: SE2, scans: Sequence[Keyframe], here: Sequence[SE2]) -> tuple[float, SE2]:
         """Mean agreement of the scans where it is highest near a hypothesis, and the hypothesis there."""
         last = here[-1]
         # The scans' poses hang together by odometry: all are moved with the last one.
         relative = [last.inverse() @ T_map_base for T_map_base in here]
-        best, pose = climb(lambda poses: self._mean_agreement(poses, relative, scans), (T_map_map @ last).xyt)
+        best, pose = climb(lambda poses: self.mean_agreement(poses, relative, scans), (T_map_map @ last).xyt)
         return best, SE2.from_array(pose) @ last.inverse()
 
-    def _mean_agreement(self, poses: Array, relative: Sequence[SE2], scans: Sequence[Keyframe]) -> Array:
+    def mean_agreement(self, poses: Array, relative: Sequence[SE2], scans: Sequence[Keyframe]) -> Array:
+        """Mean agreement (n,) of the scans with the map, where the last is taken from each of the poses
+        (n, 3) and the others lie `relative` to it, T_last_base."""
         total = np.zeros(len(poses))
         for T_last_base, scan in zip(relative, scans, strict=True):
             there = np.ascontiguousarray((SE2(poses) @ T_last_base).xyt)

@@ -1,17 +1,56 @@
-"""Resampling: low-variance sampling, with the number of particles by KLD-sampling."""
+"""Particles and their resampling: low-variance sampling, with the number of particles by KLD-sampling."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 # Bins of the histogram by which KLD-sampling counts particles: ROS amcl's heading, half its width [m].
 BIN_M, BIN_RAD = 0.25, math.radians(10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Particles (n, 3) in the map frame and their normalised weights (n,)."""
+
+    poses: Array
+    weights: Array
+
+    @classmethod
+    def even(cls, poses: Array) -> Cloud:
+        """All particles weigh the same."""
+        return cls(poses, np.full(len(poses), 1.0 / len(poses)) if len(poses) else np.zeros(0))
+
+    def weighed(self, log_likelihood: Array) -> Cloud:
+        """The weights times the likelihood (n,) of a scan from each particle."""
+        log_weights = np.log(np.maximum(self.weights, 1e-300)) + log_likelihood
+        weights = np.exp(log_weights - log_weights.max())
+        return Cloud(self.poses, weights / weights.sum())
+
+    def due(self, config: AmclConfig, update: int) -> bool:
+        """Whether to resample at the filter's `update`, counted from 1: at its interval and, if
+        resampling is selective, where less than half of the particles count."""
+        if update % config.resample_interval:
+            return False
+        return not config.selective_resampling or effective_size(self.weights) <= 0.5 * len(self.weights)
+
+    def resampled(
+        self, config: AmclConfig, rng: np.random.Generator, found: Array | None = None, share: float = 0.0
+    ) -> Cloud:
+        """As many particles as KLD-sampling asks for; a `share` of them are the first poses of `found`."""
+        pool = low_variance(self.weights, config.max_particles, rng.random())
+        bins = bin_numbers(self.poses[rng.permutation(pool)], BIN_M, BIN_RAD)
+        count = kld_count(bins, config.kld_err, config.kld_z, config.min_particles)
+        new = np.zeros((0, 3)) if found is None else found[: int(share * count)]
+        kept = self.poses[low_variance(self.weights, count - len(new), rng.random())]
+        return Cloud.even(np.concatenate([kept, new]))
 
 
 def effective_size(weights: Array) -> float:

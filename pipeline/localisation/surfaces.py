@@ -69,8 +69,8 @@ def fit_surfaces(grid: OccupancyGrid) -> Surfaces:
     cells = np.argwhere(occupied)
     index = np.full(occupied.shape, -1, dtype=np.int32)
     index[occupied] = np.arange(len(cells))
-    towards_free = _towards_free(np.pad(grid.cells == FREE, MARGIN_CELLS))[cells[:, 0], cells[:, 1]]
-    shift, normals, rough = fit_cells(cells, index, towards_free, WINDOW_CELLS)
+    to_free = towards_free(np.pad(grid.cells == FREE, MARGIN_CELLS))[cells[:, 0], cells[:, 1]]
+    shift, normals, rough = fit_cells(cells, index, to_free, WINDOW_CELLS)
     points = cells[:, ::-1] + 0.5 + shift
     patch = grow_patches(cells, index, points, normals)
     distance, (rows, cols) = scipy.ndimage.distance_transform_edt(~occupied, return_indices=True)
@@ -87,7 +87,7 @@ def fit_surfaces(grid: OccupancyGrid) -> Surfaces:
     )
 
 
-def _towards_free(free: NDArray[np.bool_]) -> Array:
+def towards_free(free: NDArray[np.bool_]) -> Array:
     """Direction of more free space at each cell, (rows, cols, 2) as x, y; short where both sides are free."""
     smooth = scipy.ndimage.gaussian_filter(free.astype(np.float64), 0.8)
     along_y, along_x = np.gradient(smooth)
@@ -128,7 +128,7 @@ def fit_cells(
             continue
         height, slope = 0.0, 0.0
         for _ in range(3):
-            height, slope, rough[i] = _parabola(near[:count], nx, ny)
+            height, slope, rough[i] = fit_parabola(near[:count], nx, ny)
             nx, ny = nx + slope * ny, ny - slope * nx
             length = np.hypot(nx, ny)
             nx, ny = nx / length, ny / length
@@ -141,7 +141,7 @@ def fit_cells(
 
 
 @njit(cache=True)
-def _parabola(near: Array, nx: float, ny: float) -> tuple[float, float, float]:
+def fit_parabola(near: Array, nx: float, ny: float) -> tuple[float, float, float]:
     """(height, slope, rms) at 0 of the parabola through points (n, 3: x, y, weight), v along (nx, ny)."""
     normal, right, weight, squares = np.eye(3) * 1e-6, np.zeros(3), 0.0, 0.0
     basis = np.empty(3)

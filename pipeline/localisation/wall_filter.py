@@ -48,46 +48,51 @@ class WallFilter:
         surfaces: Surfaces,
         T_map_base: SE2,
         covariance: Array,
+        most_walls: int = MAX_WALLS,
     ) -> None:
         self._surfaces = surfaces
         T_surfaces_map = surfaces.T_map_surfaces.inverse()
         turn = _turn(float(T_surfaces_map.yaw))
-        self._x = np.concatenate([(T_surfaces_map @ T_map_base).xyt, np.zeros(3)])
-        self._P = np.zeros((FIXED, FIXED))
-        self._P[:POSE, :POSE] = turn @ covariance @ turn.T
-        self._P[range(POSE, FIXED), range(POSE, FIXED)] = ODOMETRY_STD**2
-        self._walls = np.zeros(0, dtype=np.int32)  # patch of each offset in the state
+        self.state = np.concatenate([(T_surfaces_map @ T_map_base).xyt, np.zeros(3)])
+        """Pose, odometry's errors, and the offset of each of the `walls`, (FIXED + walls,)."""
+        self.P = np.zeros((FIXED, FIXED))
+        """Covariance of the state."""
+        self.P[:POSE, :POSE] = turn @ covariance @ turn.T
+        self.P[range(POSE, FIXED), range(POSE, FIXED)] = ODOMETRY_STD**2
+        self.walls = np.zeros(0, dtype=np.int32)
+        """Patch of each offset in the state."""
+        self._most_walls = most_walls
         self._place = np.full(surfaces.patches, -1, dtype=np.int64)  # of a patch in the list of walls
 
     @property
     def T_map_base(self) -> SE2:
         """The pose."""
-        return self._surfaces.T_map_surfaces @ SE2.from_array(self._x[:3])
+        return self._surfaces.T_map_surfaces @ SE2.from_array(self.state[:3])
 
     def predict(self, T_base_new: SE2, motion: tuple[float, float, float], std: Array) -> None:
         """Move by odometry: the motion, its parts (rot1, trans, rot2) and their standard deviations (3,)."""
-        move(self._x, self._P, T_base_new.xyt, motion[0], motion[1], std)
+        move(self.state, self.P, T_base_new.xyt, motion[0], motion[1], std)
 
     def correct(self, points_base: Array) -> float:
         """Take in a scan's end points, (n, 2) in the base frame; their NIS (see `nis`).
 
         A great one is a slip of the wheels: then odometry is not believed and the scan is taken in anew.
         """
-        sums, right = self._match(self._x[:POSE], self._offsets(), points_base)
+        sums, right = self._match(self.state[:POSE], self._offsets(), points_base)
         # Walls come and go before the state is kept: a wall forgotten meanwhile would shift those after it.
         seen = self._admit(np.flatnonzero(sums[:, 9] > 0.0).astype(np.int32))
-        x, P = self._x.copy(), self._P.copy()
+        x, P = self.state.copy(), self.P.copy()
         found = self._take_in(points_base, seen, sums, right)
         if found > SLIP:
-            self._x, self._P = x, P
-            self._P[range(POSE), range(POSE)] += SLIP_STD**2
+            self.state, self.P = x, P
+            self.P[range(POSE), range(POSE)] += SLIP_STD**2
             self._take_in(points_base, seen, sums, right)
         return found
 
     def _offsets(self) -> Array:
         """The known walls' offsets by patch, 0 for the others, (patches,)."""
         offsets = np.zeros(self._surfaces.patches)
-        offsets[self._walls] = self._x[FIXED:]
+        offsets[self.walls] = self.state[FIXED:]
         return offsets
 
     def _match(self, pose: Array, offsets: Array, points_base: Array) -> tuple[Array, Array]:
@@ -95,9 +100,9 @@ class WallFilter:
 
     def _take_in(self, points_base: Array, seen: NDArray[np.int64], sums: Array, right: Array) -> float:
         """Correct the state by a scan, matched at the predicted pose; `seen` are its walls in the list."""
-        offsets, walls = self._offsets(), self._walls[seen]
+        offsets, walls = self._offsets(), self.walls[seen]
         state = np.concatenate([range(POSE), FIXED + seen])
-        before, prior = self._x[state], self._P[state][:, state].copy()
+        before, prior = self.state[state], self.P[state][:, state].copy()
         x = before
         for iteration in range(MAX_ITERATIONS):
             if iteration > 0:
@@ -109,33 +114,33 @@ class WallFilter:
             x, last = new, x
             if step < STEP_DONE:
                 break
-        P_predicted = self._P[:POSE, :POSE].copy()
-        full_update(self._x, self._P, state, before, last, information, gradient)
-        return nis(before[:POSE], P_predicted, self._x[:POSE], self._P[:POSE, :POSE])
+        P_predicted = self.P[:POSE, :POSE].copy()
+        full_update(self.state, self.P, state, before, last, information, gradient)
+        return nis(before[:POSE], P_predicted, self.state[:POSE], self.P[:POSE, :POSE])
 
     def _admit(self, seen: Indices) -> NDArray[np.int64]:
         """Give every wall in sight a state; where in the list of walls they are."""
         new = seen[self._place[seen] < 0]
         if len(new):
-            size, more = len(self._x), len(new)
+            size, more = len(self.state), len(new)
             P = np.zeros((size + more, size + more))
-            P[:size, :size] = self._P
+            P[:size, :size] = self.P
             P[range(size, size + more), range(size, size + more)] = (
                 OFFSET_CELLS * self._surfaces.resolution
             ) ** 2
-            self._P, self._x = P, np.concatenate([self._x, np.zeros(more)])
-            self._walls = np.concatenate([self._walls, new])
+            self.P, self.state = P, np.concatenate([self.state, np.zeros(more)])
+            self.walls = np.concatenate([self.walls, new])
             self._place[new] = np.arange(size - FIXED, size - FIXED + more)
-        if len(self._walls) > MAX_WALLS:
+        if len(self.walls) > self._most_walls:
             self._forget_all_but(self._place[seen])
         return self._place[seen]
 
     def _forget_all_but(self, kept: NDArray[np.int64]) -> None:
         states = np.concatenate([range(FIXED), FIXED + kept])
-        self._x, self._P = self._x[states], self._P[states][:, states].copy()
-        self._walls = self._walls[kept]
+        self.state, self.P = self.state[states], self.P[states][:, states].copy()
+        self.walls = self.walls[kept]
         self._place[:] = -1
-        self._place[self._walls] = np.arange(len(self._walls))
+        self._place[self.walls] = np.arange(len(self.walls))
 
 
 @njit(cache=True)

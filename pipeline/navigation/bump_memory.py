@@ -51,14 +51,14 @@ class SlipWatch:
                 self._pose, self._points = T_odom_base, points
             return False
         tree = scipy.spatial.cKDTree(self._points)
-        still = _misfit(tree, SE2.from_xyt(0.0, 0.0, yaw) @ points)
-        moved = _misfit(tree, SE2.from_xyt(x, y, yaw) @ points)
-        stood = _misfit(tree, points)
+        still = misfit(tree, SE2.from_xyt(0.0, 0.0, yaw) @ points)
+        moved = misfit(tree, SE2.from_xyt(x, y, yaw) @ points)
+        stood = misfit(tree, points)
         self._pose, self._points = T_odom_base, points
         return min(still, stood) < STILL_RATIO * moved
 
 
-def _misfit(tree: scipy.spatial.cKDTree, points: Array) -> float:
+def misfit(tree: scipy.spatial.cKDTree, points: Array) -> float:
     """Mean distance of points to their nearest neighbours, cut at twice the way between two sweeps."""
     distance, _ = tree.query(points, distance_upper_bound=2.0 * TRAVEL_M)
     return float(np.minimum(distance, 2.0 * TRAVEL_M).mean())

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import numpy as np
-
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
-from turtlebag.planners.control.controller import require_twist
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 
 
@@ -50,20 +46,6 @@ class Task(Protocol):
     def resume(self, last: Twist) -> None:
         """Drive again from the next step on; `last` is the override's last command."""
         ...
-
-
-def require_task(task: Task, observation: Observation, command: object) -> None:
-    """InputError unless its command and attributes are valid after a step."""
-    require_twist(task, "step", command)
-    answer = Answer(task, "step")
-    answer.require_kind("state", task.state, str)
-    answer.require_kind("goal_index", task.goal_index, int, np.integer)
-    answer.require_kind("finished", task.finished, bool, np.bool_)
-    if task.estimate is not None:
-        answer.require_kind("estimate", task.estimate, SE2)
-        answer.require_finite("estimate", task.estimate.xyt, 3)
-    if task.sensing.shown_ns != observation.stamp_ns:
-        raise answer.wrong("its sensing must get every observation")
 
 
 class Driver(Task):

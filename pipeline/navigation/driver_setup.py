@@ -12,7 +12,7 @@ from turtlebag.datasets.durations import LONGEST_S
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.parts import find, is_own, require_attributes
+from turtlebag.datasets.parts import find, is_own
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.config import NavigateConfig
@@ -36,7 +36,6 @@ from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from turtlebag.sim.robots import RobotSpec
 
-TASKS = ("goal", "patrol", "avoid", "explore")
 # Simulated seconds: of avoid, and of explore at most, where none were asked for; of any run at most.
 DEFAULT_DURATION_S, DEFAULT_EXPLORE_S, MAX_SIMULATED_S = 60.0, 1800.0, 4 * 3600.0
 MAX_LAPS = 1000
@@ -49,7 +48,7 @@ class Request:
     """The options of a run. `initial_pose` is a pose, `start`, `global`, or None (no initial pose)."""
 
     task: str
-    """One of TASKS, or a user's `Task` class."""
+    """goal, patrol, avoid or explore, or a user's `Task` class."""
     seed: int
     map_path: Path | None = None
     start: SE2 | None = None
@@ -161,7 +160,6 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
 
 
 Made = tuple[Task, OnlineLocaliser | None, GoalSequence | None]
-DriverMaker = Callable[[Mission, Observation, BagWriter, Callable[[str], None]], Made]
 
 
 def make_driver(
@@ -172,7 +170,6 @@ def make_driver(
     kit = Kit(robot, config, request.seed, Sensing(robot.T_base_lidar), publisher)
     if is_own(request.task):
         task: Task = find(request.task, Task)(kit, mission)
-        require_attributes(task, Task)
         return task, None, None
     if request.task == "avoid":
         return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say), None, None

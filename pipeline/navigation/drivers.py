@@ -9,10 +9,9 @@ import numpy as np
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.parts import find, require_attributes
+from turtlebag.datasets.parts import find
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.localisers import make_localiser
@@ -29,7 +28,7 @@ from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
-from turtlebag.planners.control.controller import Controller, require_twist
+from turtlebag.planners.control.controller import Controller
 from turtlebag.planners.control.dwa import Dwa
 from turtlebag.planners.control.goal_checker import PASSING
 from turtlebag.planners.control.pursuit import Pursuit
@@ -123,7 +122,4 @@ def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
     if config.controller == "pursuit":
         return Pursuit(robot.model, PERIOD_S)
     own: Controller = find(config.controller, Controller)(robot.model, PERIOD_S)
-    require_attributes(own, Controller)
-    require_twist(own, "brake", own.brake(Twist()))
-    require_twist(own, "ramp", own.ramp(Twist(), Twist()))
     return own

@@ -10,10 +10,11 @@ from typing import NamedTuple
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.ground_truth import known_truth
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.navigation.driver import Task
-from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
+from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S, Mission, make_driver
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
@@ -59,17 +60,16 @@ def drive(
     mission: Mission,
     audience: Audience = NOBODY,
     overrides: Source | None = None,
-    make: DriverMaker = make_driver,
 ) -> Episode:
     """Observe, decide, log, act, until the driver is done or the run is interrupted.
 
     `overrides` says when someone else has the commands; without it, the script of the configuration does.
-    `make` makes the driver.
     """
     bag, say, news, interrupted = audience
     observation = simulator.reset(mission.request.start)
     bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
-    driver, localiser, sequence = make(mission, observation, bag, say)
+    with known_truth(lambda scan: simulator.scan_truth):
+        driver, localiser, sequence = make_driver(mission, observation, bag, say)
     owner = _owner(driver, mission, overrides)
     recorder = RunRecorder(simulator, bag)
     while True:

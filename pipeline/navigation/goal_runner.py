@@ -13,7 +13,7 @@ from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.collision_monitor import PADDING_M, CollisionMonitor, moved
-from turtlebag.planners.control.controller import Controller, require_twist
+from turtlebag.planners.control.controller import Controller
 from turtlebag.planners.control.goal_checker import STOPPED_V, STOPPED_W, GoalChecker, GoalCheckerConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import (
@@ -169,7 +169,6 @@ class GoalRunner:
             if verdict is not None or self._route is None:
                 return controller.brake(tick.last), verdict
         wanted = controller.command(tick.pose, tick.last, self.tools.obstacles.costmap)
-        require_twist(controller, "command", wanted)
         self.state = controller.state
         return self._guarded(wanted, tick), self._held_up(tick, wanted)
 

@@ -39,7 +39,8 @@ class GuardedAvoidance:
         self.monitor = CollisionMonitor(model)
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + SIDE_ROOM_M
         self._nose = float(model.footprint[:, 0].max())
-        self._turning = 0.0
+        self.turning = 0.0
+        """The side that it turns to until the way is free: 1 left, -1 right, 0 neither."""
         self._flips = 0
         self._bumps = BumpMemory(model)
         self._progress = ProgressWatch(RESTLESS_S, RESTLESS_M, math.inf)
@@ -50,7 +51,7 @@ class GuardedAvoidance:
         """A teleop override has ended: manoeuvres and watches start anew; bumped places are kept."""
         self._progress.reset()
         self.decision = Decision("hold", Twist())
-        self._turning, self._flips = 0.0, 0
+        self.turning, self._flips = 0.0, 0
         self._bumps.interrupted()
 
     def command(self, sweep: DeskewedScan, T_odom_base: SE2, last: Twist, *, new_sweep: bool) -> Twist:
@@ -70,26 +71,26 @@ class GuardedAvoidance:
         """What to do after a new sweep."""
         away = TURN_AWAY_RAD if sweep.sectors.left > sweep.sectors.right else -TURN_AWAY_RAD
         if self._bumps.noticed(sweep, T_odom_base, last, away, SE2.identity()):
-            self._turning = 0.0
+            self.turning = 0.0
         points = self.points_base(sweep, T_odom_base)
         command = self._bumps.escaping(sweep.stamp_ns, T_odom_base)
         if command is not None:
-            return self._possible(Decision("back off" if command.v else "turn away", command), points)
-        return self._possible(self._tiers(sweep, T_odom_base, points), points)
+            return self.possible(Decision("back off" if command.v else "turn away", command), points)
+        return self.possible(self._tiers(sweep, T_odom_base, points), points)
 
     def _tiers(self, sweep: DeskewedScan, T_odom_base: SE2, points: Array) -> Decision:
         s = sweep.sectors
         barred = s.front < STOP_M or self._gap(points) < NOSE_ROOM_M
         if self._progress.stuck(sweep.stamp_ns, T_odom_base):
-            angle = _to_most_room(T_odom_base.inverse() @ sweep.hits_odom)
+            angle = most_room(T_odom_base.inverse() @ sweep.hits_odom)
             way = self._way_out(points) if barred else 0.0
             self._bumps.escape = Escape(sweep.stamp_ns, T_odom_base, way, angle)
             return Decision("turn away", Twist(0.0, 0.0))
         if barred:
             self._turn_to(1.0 if s.left > s.right else -1.0)
-            side = "left" if self._turning > 0.0 else "right"
-            return Decision(f"stop, turn {side}", Twist(0.0, self._turning * TURN_W))
-        self._turning, self._flips = 0.0, 0
+            side = "left" if self.turning > 0.0 else "right"
+            return Decision(f"stop, turn {side}", Twist(0.0, self.turning * TURN_W))
+        self.turning, self._flips = 0.0, 0
         return tutorial_rule(s)
 
     def _way_out(self, points: Array) -> float:
@@ -99,21 +100,21 @@ class GuardedAvoidance:
 
     def _turn_to(self, freer: float) -> None:
         """Turn to the freer side; after some changes of mind keep to one until the way is free."""
-        if self._turning == 0.0 or (freer != self._turning and self._flips < MOST_FLIPS):
-            self._flips += self._turning != 0.0
-            self._turning = freer
+        if self.turning == 0.0 or (freer != self.turning and self._flips < MOST_FLIPS):
+            self._flips += self.turning != 0.0
+            self.turning = freer
 
     def _gap(self, points: Array) -> float:
         """Free length before the nose within the corridor as wide as the robot."""
         ahead = points[(points[:, 0] > 0.0) & (np.abs(points[:, 1]) < self._half_width)]
         return float(ahead[:, 0].min()) - self._nose if len(ahead) else math.inf
 
-    def _possible(self, decision: Decision, points: Array) -> Decision:
+    def possible(self, decision: Decision, points: Array) -> Decision:
         """The decision, or the nearest thing to it that touches nothing."""
         command = decision.command
         if self.monitor.limit(command, points) > 0.0:
             return decision
-        first = math.copysign(TURN_W, command.w if command.w else self._turning or 1.0)
+        first = math.copysign(TURN_W, command.w if command.w else self.turning or 1.0)
         for name, other in (
             ("turn", Twist(0.0, first)),
             ("turn", Twist(0.0, -first)),
@@ -122,12 +123,12 @@ class GuardedAvoidance:
         ):
             if self.monitor.limit(other, points) > 0.0:
                 if other.w:
-                    self._turning = math.copysign(1.0, other.w)
+                    self.turning = math.copysign(1.0, other.w)
                 return Decision(name, other)
         return Decision("hold", Twist())
 
 
-def _to_most_room(points_base: Array) -> float:
+def most_room(points_base: Array) -> float:
     """Angle to the 30 degree sector whose nearest point (n, 2) is farthest away."""
     bearing = np.arctan2(points_base[:, 1], points_base[:, 0])
     distance = np.linalg.norm(points_base, axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
-from turtlebag.pipeline.localisation.localiser import Localiser, require_estimate
+from turtlebag.pipeline.localisation.localiser import Localiser
 from turtlebag.pipeline.localisation.pose_hypotheses import Keyframe
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 
@@ -68,7 +68,6 @@ class OnlineLocaliser:
         T_odom_base = self._odometry.at(scan.stamp_ns)
         self._seen = (scan, T_odom_base, self._odometry.at(sweep_end_ns(scan)))
         updated = self.amcl.update(*self._seen)
-        require_estimate(self.amcl)
         self.T_map_odom = self.amcl.T_map_odom
         T_map_base = self.T_map_odom @ T_odom_base
         self.scan_poses.append((scan.stamp_ns, T_map_base))

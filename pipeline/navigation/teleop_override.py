@@ -19,7 +19,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.datasets.yaml_files import checked, read_yaml
-from turtlebag.pipeline.navigation.driver import Task, require_task
+from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.control.controller import SpeedLimits, ramped
 from turtlebag.sim.robots import PERIOD_S
@@ -128,7 +128,6 @@ class CommandOwner:
                 self.driver.resume(self.command)
             self.owner = "navigation"
             self.command = self.driver.step(observation)
-            require_task(self.driver, observation, self.command)
             return self.command
         self.owner = "teleop"
         self._note(observation.stamp_ns, asked)

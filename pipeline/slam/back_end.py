@@ -7,7 +7,7 @@ from typing import Annotated, Protocol
 
 from pydantic import Field
 
-from turtlebag.datasets.parts import Answer, chosen, part_of
+from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import Gtsam
@@ -39,14 +39,3 @@ def make_back_end(name: str) -> BackEnd:
     """The back end of that name; InputError if it is a user's class that cannot be loaded."""
     made: BackEnd = chosen(name, {"gtsam": Gtsam}, BackEnd)()
     return made
-
-
-def solved(
-    back_end: BackEnd, T_map_keys: SE2, constraints: Sequence[Constraint], iterations: int = 30
-) -> SE2:
-    """The result of a back end; InputError unless it has as many poses, all finite."""
-    found = back_end.optimise(T_map_keys, constraints, iterations)
-    answer = Answer(back_end, "optimise")
-    answer.require_a(SE2, found)
-    answer.require_finite("poses", found.xyt, len(T_map_keys), 3)
-    return found

@@ -73,7 +73,7 @@ class Calibration:
 
     def information(self, steps: Array) -> Array:
         """Information (..., 3, 3) of corrected steps (..., 3), errors growing as a random walk."""
-        sigma = self.noise * np.sqrt(_baselines(steps))[..., None] + 0.3 * LEAST_NOISE
+        sigma = self.noise * np.sqrt(baselines(steps))[..., None] + 0.3 * LEAST_NOISE
         return np.eye(3) * sigma[..., None, :] ** -2.0
 
 
@@ -84,23 +84,24 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     of wrong odometry are down-weighted (Cauchy kernel).
     """
     steps = T_odom_keys.steps()
-    pairs = _baseline_pairs(steps)
+    pairs = baseline_pairs(steps)
     if len(pairs) == 0:
         return Calibration()
     matched, information, overlap = _matched(clouds, keys, T_map_keys, pairs)
     good = overlap >= LEAST_OVERLAP
     if not good.any():
         return Calibration()
-    return _fit(steps, pairs[good], matched[good], information[good] / STEP_COVARIANCE_SCALE)
+    return fit_shares(steps, pairs[good], matched[good], information[good] / STEP_COVARIANCE_SCALE)
 
 
-def _baselines(steps: Array) -> Array:
+def baselines(steps: Array) -> Array:
+    """Length of steps (..., 3) in baselines, (...,)."""
     return np.hypot(steps[..., 0], steps[..., 1]) / BASELINE_M + np.abs(steps[..., 2])
 
 
-def _baseline_pairs(steps: Array) -> NDArray[np.int64]:
+def baseline_pairs(steps: Array) -> NDArray[np.int64]:
     """Each key with the first one at least a baseline later, (n, 2)."""
-    path = np.concatenate([[0.0], np.cumsum(_baselines(steps))])
+    path = np.concatenate([[0.0], np.cumsum(baselines(steps))])
     j = np.searchsorted(path, path + 1.0)
     i = np.flatnonzero(j < len(path))
     return np.stack([i, j[i]], axis=1)
@@ -121,15 +122,15 @@ def _matched(
     return T_i_j, information, overlap
 
 
-def _fit(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
+def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
     """Ridge regression of the three errors, iteratively reweighted; noise from the residuals, then once more
     with it."""
-    odometry = _chained(steps, pairs)
+    odometry = chain(steps, pairs)
     error = (SE2(odometry).inverse() @ SE2(matched)).xyt
-    jacobian = _jacobian(steps, pairs, odometry)
+    jacobian = shares_jacobian(steps, pairs, odometry)
     noise, shares = USUAL_NOISE, np.zeros(3)
     for _ in range(3):
-        weight = _joint(information, noise)
+        weight = joint_information(information, noise)
         for _ in range(8):
             left = error - np.einsum("nij,j->ni", jacobian, shares)
             trust = 1.0 / (1.0 + np.einsum("ni,nij,nj->n", left, weight, left) / CAUCHY**2)
@@ -138,19 +139,19 @@ def _fit(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Ar
             ) + ODOMETRY_SHARE**-2 * np.eye(3)
             b = np.einsum("n,nia,nij,nj->a", trust, jacobian, weight, error)
             shares = np.linalg.solve(a, b)
-        noise = _noise(left, information)
+        noise = noise_left(left, information)
     pairs_used = int(np.count_nonzero(trust > 0.5))
     scale, turn_scale, turn_per_m = (shares + np.array([1.0, 1.0, 0.0])).tolist()
     return Calibration(scale, turn_scale, turn_per_m, noise, pairs_used, np.linalg.inv(a))
 
 
-def _joint(information: Array, noise: Array) -> Array:
+def joint_information(information: Array, noise: Array) -> Array:
     """Information of a match seen through odometry's noise: (H^-1 + S)^-1, H may be singular."""
     inverse = np.diag(noise**-2.0)
     return information @ np.linalg.solve(information + inverse, np.broadcast_to(inverse, information.shape))
 
 
-def _noise(left: Array, information: Array) -> Array:
+def noise_left(left: Array, information: Array) -> Array:
     """Standard deviations by the median of the residuals, pulled to the usual ones if there are few pairs."""
     variance = np.diagonal(np.linalg.inv(information + WEAK * np.eye(3)), axis1=1, axis2=2)
     sees = variance < 4.0 * USUAL_NOISE**2
@@ -164,17 +165,17 @@ def _noise(left: Array, information: Array) -> Array:
     return out
 
 
-def _jacobian(steps: Array, pairs: NDArray[np.int64], odometry: Array) -> Array:
+def shares_jacobian(steps: Array, pairs: NDArray[np.int64], odometry: Array) -> Array:
     """Effect of each error on a pair's end pose, (n, 3, 3), by finite differences."""
     h = 1e-4
     out = np.zeros((len(pairs), 3, 3))
     for k, moved in enumerate((Calibration(1.0 + h), Calibration(1.0, 1.0 + h), Calibration(1.0, 1.0, h))):
-        end = _chained(moved.corrected(steps), pairs)
+        end = chain(moved.corrected(steps), pairs)
         out[:, :, k] = (SE2(odometry).inverse() @ SE2(end)).xyt / h
     return out
 
 
-def _chained(steps: Array, pairs: NDArray[np.int64]) -> Array:
+def chain(steps: Array, pairs: NDArray[np.int64]) -> Array:
     """Motion (n, 3) over each pair of keys, composed of steps."""
     yaw = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
     c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])

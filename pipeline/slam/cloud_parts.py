@@ -18,7 +18,7 @@ FEW_READINGS = 1_000_000
 
 
 def clouds_maker(
-    recording: Recording, usable_range: float, motion: SE2 | None
+    recording: Recording, usable_range: float, motion: SE2 | None, few_readings: int = FEW_READINGS
 ) -> Callable[[NDArray[np.int64] | None], Clouds]:
     """`make_clouds` of any scans of a recording, None for all; for a short log they are made only once."""
     noise = once(lambda: range_noise(recording, usable_range))
@@ -26,7 +26,7 @@ def clouds_maker(
     def made(scans: NDArray[np.int64] | None = None) -> Clouds:
         return make_clouds(recording, usable_range, motion, noise(), scans)
 
-    if recording.ranges.size > FEW_READINGS:
+    if recording.ranges.size > few_readings:
         return made
     whole = once(made)
     return lambda scans: whole() if scans is None else chosen(whole(), scans)

@@ -131,8 +131,8 @@ def make_clouds(
         these, ranges = slice(part[0], part[-1]), readings[rows][valid[rows]].astype(np.float64)
         _place(valid[rows], ranges, lidar.directions, recording.T_base_lidar.xyt, knots[rows], points[these])
         centers[these], point_var[these] = points[these], noise.variance(ranges)
-        _fit_lines(points, part, origin, increment, (normals, centers, line_ok, point_var, normal_var))
-        _bearing_tables(points, part, origin, table[rows])
+        fit_lines(points, part, origin, increment, (normals, centers, line_ok, point_var, normal_var))
+        bearing_tables(points, part, origin, table[rows])
 
     in_parts(prepare, len(readings))
     return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
@@ -212,7 +212,7 @@ def _place(
 
 
 @njit(cache=True, nogil=True)
-def _fit_lines(
+def fit_lines(
     points: Array, starts: NDArray, origin: Array, increment: float, lines: tuple[NDArray, ...]
 ) -> None:
     """Total least squares line through each point's neighbours in beam order, into `lines`: normals, centers,
@@ -280,7 +280,7 @@ def _fit_lines(
                     # a few returns close together do not determine the angle between line and ray
                     steep = min(1.0, across2 + range_var[i] / max(n * large, LEAST_M * LEAST_M))
                     noise = range_var[i] * steep + LEAST_M * LEAST_M
-                    if n >= 3 and n * small > noise * _limit(n - 2):
+                    if n >= 3 and n * small > noise * chi_squared_limit(n - 2):
                         alive[side] = False
                         continue
                     sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
@@ -306,14 +306,14 @@ def _fit_lines(
 
 
 @njit(cache=True, nogil=True)
-def _limit(freedom: int) -> float:
+def chi_squared_limit(freedom: int) -> float:
     """The chi-squared that noise alone exceeds as rarely as Z_SURFACE says (Wilson and Hilferty 1931)."""
     share = 2.0 / (9.0 * freedom)
     return freedom * (1.0 - share + Z_SURFACE * math.sqrt(share)) ** 3
 
 
 @njit(cache=True, nogil=True)
-def _bearing_tables(points: Array, starts: NDArray, origin: Array, table: NDArray) -> None:
+def bearing_tables(points: Array, starts: NDArray, origin: Array, table: NDArray) -> None:
     """Row of the nearest point in each bearing bin about the lidar, per scan, into a table of -1."""
     n_bins = table.shape[1]
     scale = n_bins / (2.0 * math.pi)

@@ -81,7 +81,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
         folder / "explain.json",
         {
             "worst_edges": worst_edges(result.T_map_keys, result.constraints),
-            "contradicting_places": _contradictions(result),
+            "contradicting_places": contradicting_places(result),
             "front_end": {
                 "winners": hypothesis_shares(result.track),
                 "mean_overlap": float(result.track.overlap.mean()),
@@ -93,10 +93,12 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
     )
 
 
-def worst_edges(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> list[dict[str, Any]]:
+def worst_edges(
+    T_map_keys: SE2 | Array, constraints: Sequence[Constraint], most: int = WORST
+) -> list[dict[str, Any]]:
     """The constraints with the largest residuals at the final poses, worst first."""
     squared = mahalanobis(T_map_keys, constraints)
-    order = np.argsort(-squared, kind="stable")[:WORST]
+    order = np.argsort(-squared, kind="stable")[:most]
     return [
         {
             "i": constraints[k].i,
@@ -108,9 +110,10 @@ def worst_edges(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> l
     ]
 
 
-def _contradictions(result: SlamResult) -> list[dict[str, Any]]:
+def contradicting_places(result: SlamResult, most: int = WORST) -> list[dict[str, Any]]:
+    """The revisits that violate each other's free space most, worst first."""
     violations = result.check.violations
-    order = np.argsort(-violations[:, 2], kind="stable")[:WORST]
+    order = np.argsort(-violations[:, 2], kind="stable")[:most]
     return [
         {"i": int(i), "j": int(j), "violation": float(share), "xy": result.T_map_keys.xy[int(i)]}
         for i, j, share in violations[order]

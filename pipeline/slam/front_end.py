@@ -10,11 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-
-from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.track import HYPOTHESES
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,22 +61,3 @@ class FrontEnd(Protocol):
         If the scan shows nothing, return the predicted pose with zero information.
         """
         ...
-
-
-def require_placed(front_end: FrontEnd, placed: object, scan: int) -> None:
-    """InputError unless `placed` is a valid result of `step` for this scan."""
-    answer = Answer(front_end, "step")
-    answer.require_a(Placed, placed)
-    assert isinstance(placed, Placed)
-    answer.require_finite("T_track_base", placed.T_track_base, 3)
-    answer.require_finite("information", placed.information, 3, 3)
-    for what in ("overlap", "known", "rmse"):
-        answer.require_finite(what, getattr(placed, what))
-    answer.require_kind("sure", placed.sure, bool, np.bool_)
-    if not isinstance(placed.source, int | np.integer) or placed.source not in range(len(HYPOTHESES)):
-        raise answer.wrong(f"source must be 0 to {len(HYPOTHESES) - 1}, an index into track.HYPOTHESES")
-    for one in placed.revised if isinstance(placed.revised, tuple | list) else (placed.revised,):
-        pair = one if isinstance(one, tuple | list) and len(one) == 2 else (None, None)
-        if not isinstance(pair[0], int | np.integer) or not 0 <= pair[0] < scan:
-            raise answer.wrong(f"revised must be scans before this one, 0 to {scan - 1}, with their poses")
-        answer.require_finite("a revised pose", pair[1], 3)

@@ -30,9 +30,11 @@ class GrowingLoops(LoopFinder):
         """Standard deviation of the newest key searched, as seen from the first one [m]."""
         self._graph = GrowingGraph()
         self._since_query = 0
-        self._waiting: deque[int] = deque()
+        self.waiting: deque[int] = deque()
+        """Keys that wait for their loops, in order."""
         self._candidates: deque[tuple[int, float, float]] | None = None
-        self._found: Loop | None = None
+        self.found: Loop | None = None
+        """The loop to be closed next."""
 
     def add_key(self, scans: KeyScans, T_last_key: Array, steps: list[Constraint]) -> None:
         """Append a key, seen from the last one (3,), and the constraint between the two, as if they were keys
@@ -44,19 +46,19 @@ class GrowingLoops(LoopFinder):
         self.path = np.append(self.path, self.path[-1] + step_lengths(self.poses[-2:]))
         self.steps += steps
         self._since_query += 1
-        if self.config.enabled and self._since_query >= self.config.every and len(self._waiting) < WAITING:
+        if self.config.enabled and self._since_query >= self.config.every and len(self.waiting) < WAITING:
             self._since_query = 0
-            self._waiting.append(n)
+            self.waiting.append(n)
 
     def work(self) -> bool:
         """Do one of these: search the places where the first waiting key may have been before, align it with
         one of them, or close the loop found. Returns whether the poses moved."""
-        if self._found is not None:
-            self._close(self._found)
+        if self.found is not None:
+            self._close(self.found)
             return True
-        if not self._waiting:
+        if not self.waiting:
             return False
-        i = self._waiting[0]
+        i = self.waiting[0]
         if self._candidates is None:
             self._judge_drift()
             self.sigma_m = self._sigma(i)
@@ -64,19 +66,19 @@ class GrowingLoops(LoopFinder):
         elif self._candidates:
             loop = self._match(i, *self._candidates.popleft())
             if loop.accepted:
-                self._found = loop
+                self.found = loop
                 self._candidates.clear()
         if not self._candidates:
-            self._waiting.popleft()
+            self.waiting.popleft()
             self._candidates = None
         return False
 
     def needed(self) -> NDArray[np.bool_]:
         """Which keys (n,) must stay: the first, and those that wait for their loops."""
         needed = np.zeros(len(self.poses), dtype=bool)
-        needed[[0, *self._waiting]] = True
-        if self._found is not None:
-            needed[[self._found.i, self._found.j]] = True
+        needed[[0, *self.waiting]] = True
+        if self.found is not None:
+            needed[[self.found.i, self.found.j]] = True
         return needed
 
     def _sigma(self, i: int) -> float:
@@ -88,7 +90,7 @@ class GrowingLoops(LoopFinder):
         self.loops.append(constraint)
         new = [c for c in self.steps if c.j >= len(self._graph)]
         self.poses = self._graph.update(self.poses, [*new, constraint])
-        self._found = None
+        self.found = None
 
     def keep(self, stays: NDArray[np.bool_], scans: KeyScans) -> None:
         """Keep only these keys (n,), among them those `needed`; constraints on the others move to their
@@ -98,9 +100,9 @@ class GrowingLoops(LoopFinder):
         self.loops = without(self.loops, stays, self.poses)
         self.scans, self.part = scans, self.part[stays]
         self.poses, self.path = self.poses[stays], self.path[stays]
-        self._waiting = deque(int(number[i]) for i in self._waiting)
+        self.waiting = deque(int(number[i]) for i in self.waiting)
         self._candidates = None
-        if self._found is not None:
-            self._found = replace(self._found, i=int(number[self._found.i]), j=int(number[self._found.j]))
+        if self.found is not None:
+            self.found = replace(self.found, i=int(number[self.found.i]), j=int(number[self.found.j]))
         self._graph = GrowingGraph()
         self.poses = self._graph.update(self.poses, [*self.steps, *self.loops])

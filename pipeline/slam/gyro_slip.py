@@ -39,7 +39,7 @@ def with_gyro(recording: Recording) -> Recording:
     no gyro, no odometry or no slip, or if the two do not turn together."""
     if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
         return recording
-    gyro, stamps = _Gyro(recording.imu), recording.stamps_ns
+    gyro, stamps = GyroTurns(recording.imu), recording.stamps_ns
     steps = recording.T_odom_base.steps()
     trusted = _trusted(gyro, steps, stamps)
     if trusted is None:
@@ -53,14 +53,14 @@ def with_gyro(recording: Recording) -> Recording:
     slips = known & (left > least + ODOMETRY_SHARE * np.abs(expected) + late)
     if not slips.any():
         return recording
-    T = _turned(recording.T_odom_base, steps, np.where(slips, expected, steps[:, 2]))
+    T = with_turns(recording.T_odom_base, steps, np.where(slips, expected, steps[:, 2]))
     stream = recording.odometry
     if stream is not None and len(stream) > 1:
         steps = stream.poses.steps()
         expected, known = _expected(gyro, steps, stream.stamps_ns, *trusted)
         within = np.clip(np.searchsorted(stamps, stream.stamps_ns[:-1], side="right") - 1, 0, len(slips) - 1)
         turns = np.where(known & slips[within], expected, steps[:, 2])
-        stream = Trajectory(stream.stamps_ns, _turned(stream.poses, steps, turns))
+        stream = Trajectory(stream.stamps_ns, with_turns(stream.poses, steps, turns))
     return replace(recording, T_odom_base=T, odometry=stream)
 
 
@@ -68,11 +68,11 @@ def turns_with(recording: Recording) -> bool:
     """Whether a gyro, with its recorded mounting, turns with the odometry."""
     if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
         return False
-    trusted = _trusted(_Gyro(recording.imu), recording.T_odom_base.steps(), recording.stamps_ns)
+    trusted = _trusted(GyroTurns(recording.imu), recording.T_odom_base.steps(), recording.stamps_ns)
     return trusted is not None and trusted[0] > 0.0
 
 
-def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[float, Array] | None:
+def _trusted(gyro: GyroTurns, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[float, Array] | None:
     """Sign of the gyro (-1: mounted upside down), and bias [rad/s], share of turn and turn per metre between
     it and the odometry; None when the two do not turn together."""
     turns, known = gyro.turns(stamps_ns)
@@ -80,7 +80,7 @@ def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[f
     if np.count_nonzero(known) < FEWEST:
         return None
     for sign in (1.0, -1.0):
-        found = _apart(sign * turns[known], steps[known], waits[known])
+        found = gyro_errors(sign * turns[known], steps[known], waits[known])
         expected, _ = _expected(gyro, steps, stamps_ns, sign, found)
         likely = bool(np.all(np.abs(found) < SIGMAS * USUAL))
         if likely and _agrees(expected[known], steps[known, 2]):
@@ -89,14 +89,14 @@ def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[f
 
 
 def _expected(
-    gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64], sign: float, found: Array
+    gyro: GyroTurns, steps: Array, stamps_ns: NDArray[np.int64], sign: float, found: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The turns (n,) that wheels without slip would report, by the gyro, and where the gyro is available."""
     turns, known = gyro.turns(stamps_ns)
-    return sign * turns - _parts(sign * turns, steps, seconds(np.diff(stamps_ns))) @ found, known
+    return sign * turns - error_parts(sign * turns, steps, seconds(np.diff(stamps_ns))) @ found, known
 
 
-class _Gyro:
+class GyroTurns:
     """Yaw by the gyro's z axis."""
 
     def __init__(self, imu: ImuLog) -> None:
@@ -124,14 +124,15 @@ class _Gyro:
         return np.diff(yaw), whole & inside[1:] & inside[:-1]
 
 
-def _parts(turns: Array, steps: Array, waits: Array) -> Array:
+def error_parts(turns: Array, steps: Array, waits: Array) -> Array:
+    """What the errors of `gyro_errors` act on, (n, 3): time [s], turn [rad] and way [m] of each step."""
     # the gyro's turns, because those of slipping wheels would bias the fit
     return np.column_stack([waits, turns, np.hypot(steps[:, 0], steps[:, 1])])
 
 
-def _apart(turns: Array, steps: Array, waits: Array) -> Array:
+def gyro_errors(turns: Array, steps: Array, waits: Array) -> Array:
     """Bias, share of turn and turn per metre (3,) between gyro and odometry, robustly."""
-    rows, error = _parts(turns, steps, waits), wrap(turns - steps[:, 2])
+    rows, error = error_parts(turns, steps, waits), wrap(turns - steps[:, 2])
     found: Array = np.zeros(3, dtype=np.float64)
     for _ in range(10):
         left = error - rows @ found
@@ -148,7 +149,7 @@ def _agrees(turns: Array, odometry: Array) -> bool:
     return bool(turned.sum() > TURNING_RAD and missed.sum() < GROSS * turned.sum())
 
 
-def _turned(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:
+def with_turns(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:
     """Odometry poses (n,) with other turns (n - 1,), each step driven along an arc of the same length."""
     distance = np.hypot(steps[:, 0], steps[:, 1])
     bearing = np.arctan2(steps[:, 1], steps[:, 0]) + 0.5 * (turns - steps[:, 2])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 import scipy
@@ -19,7 +18,7 @@ from pydantic import Field
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.back_end import BackEnd, solved
+from turtlebag.pipeline.slam.back_end import BackEnd
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.factors import Constraint
@@ -31,9 +30,9 @@ from turtlebag.pipeline.slam.point_to_line_icp import (
     NEIGHBOURS,
     STEP_COVARIANCE_SCALE,
     SURFACE_VAR,
-    _safe_solve,
     add_equation,
     observable,
+    safe_solve,
 )
 from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise
 from turtlebag.pipeline.slam.threads import in_parts
@@ -74,7 +73,7 @@ def refine(
         pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
         return pair_constraints(clouds, keys, poses, pairs, Limits(gate, sigma))
 
-    return in_rounds(T_map_keys, steps, config.rounds, matched, partial(solved, back_end))
+    return in_rounds(T_map_keys, steps, config.rounds, matched, back_end.optimise)
 
 
 def in_rounds(
@@ -193,7 +192,7 @@ def linearise_pairs(
         used_a, hit_a, faked_a = _half(clouds, keys[a], keys[b], (ix, iy, c, -s), limits, True, (h, g))
         overlap[k] = max(hit_a / max(used_a, 1), hit_b / max(used_b, 1))
         seen = observable(h, faked_a + faked_b)
-        step = -_safe_solve(h, g)
+        step = -safe_solve(h, g)
         relative[k, 0] = tx + c * step[0] - s * step[1]
         relative[k, 1] = ty + s * step[0] + c * step[1]
         relative[k, 2] = (dyaw + step[2] + math.pi) % (2.0 * math.pi) - math.pi

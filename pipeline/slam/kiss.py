@@ -103,13 +103,18 @@ class LidarOdometry:
             own.max_num_iterations, own.convergence_criterion, max_num_threads=1
         )
 
+    @property
+    def search_radius(self) -> float:
+        """A third of the distance within which points are matched [m], by how wrong the guesses were."""
+        return float(self._threshold.get_threshold())
+
     def register(self, points: Array, T_map_guess: Array) -> Array:
         """Pose of a scan's points against the local map, started at a guess."""
         if self._map.empty() or len(points) < 3:
             return T_map_guess
         plane = points.shape[1] == 2
         source = _in_space(points) if plane else self._thinned(points, 1.5 * self._voxel)
-        sigma = self._threshold.get_threshold()
+        sigma = self.search_radius
         guess = _matrix(T_map_guess)
         pose = self._registration.align_points_to_map(source, self._map, guess, SIGMAS * sigma, sigma)
         if not np.all(np.isfinite(pose)):

@@ -48,7 +48,12 @@ def turned_by_deg(recording: Recording) -> float:
     if recording.T_odom_base is None or len(recording) <= SCANS:
         return 0.0
     noise = range_noise(recording, USABLE_M)
-    ways = np.array([_ways(recording, stretch, noise) for stretch in _stretches(recording)]).reshape(-1, 2)
+    return yaw_error_deg(np.array([ways_of(recording, one, noise) for one in stretches(recording)]))
+
+
+def yaw_error_deg(ways: NDArray[np.complex128]) -> float:
+    """The yaw [deg] by which ways (n, 2) by scans and odometry differ, see `ways_of`; 0 also if unknown."""
+    ways = ways.reshape(-1, 2)
     by_scans, by_odometry = ways[np.abs(ways[:, 1]) >= LEAST_WAY_M].T
     usable = np.abs(np.abs(by_scans) - np.abs(by_odometry)) <= GROSS * np.abs(by_odometry)
     if np.count_nonzero(usable) < STRETCHES // 3:
@@ -63,7 +68,7 @@ def turned_by_deg(recording: Recording) -> float:
     return 180.0 - (180.0 - turned_deg) % 360.0
 
 
-def _stretches(recording: Recording) -> list[NDArray[np.int64]]:
+def stretches(recording: Recording) -> list[NDArray[np.int64]]:
     """Scans of each of the stretches in which, by the odometry, the robot drives farthest and turns least."""
     T = recording.T_odom_base
     assert T is not None
@@ -75,7 +80,7 @@ def _stretches(recording: Recording) -> list[NDArray[np.int64]]:
     return [start + apart * np.arange(SCANS) for start in starts[chosen]]
 
 
-def _ways(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) -> NDArray[np.complex128]:
+def ways_of(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) -> NDArray[np.complex128]:
     """The end of a stretch seen from its start, by the scans alone and by the odometry, x + iy [m].
 
     The direction to the end deviates from the initial heading by half of the turn. Half of the difference

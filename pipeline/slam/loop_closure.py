@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.loop_edits import HAND_M, HAND_RAD
@@ -54,7 +53,7 @@ def close_graph(
         record = [*added, *(loop for loop in finder.record if loop.accepted)]
         finder = close(found.T_map_keys, found.part, [*finder.loops, *found.loops])
         record += finder.record
-    unbridged = breaks.broken & ~found.released & ~_spanned(record, n)
+    unbridged = breaks.broken & ~found.released & ~spanned_steps(record, n)
     return Graph(SE2(finder.poses), [*steps, *finder.loops], record, found.record, unbridged)
 
 
@@ -68,11 +67,11 @@ def _added(
     loops = [closing.config.constraint(loop) for loop in added if loop.accepted]
     if not loops:
         return added, T_map_keys
-    roughly = solved(closing.back_end, T_map_keys, [*steps, *firm(loops)])
-    return added, solved(closing.back_end, roughly, [*steps, *loops])
+    roughly = closing.back_end.optimise(T_map_keys, [*steps, *firm(loops)])
+    return added, closing.back_end.optimise(roughly, [*steps, *loops])
 
 
-def _spanned(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:
+def spanned_steps(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:
     """Steps that an accepted loop by distance spans, (keys - 1,)."""
     spans = np.zeros(n_keys, dtype=np.int64)
     for loop in record:

@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
@@ -50,14 +49,3 @@ class LoopMatch(Protocol):
         of the query's points with a correspondence, `rmse` their distance [m].
         """
         ...
-
-
-def require_alignment(matcher: LoopMatch, found: object) -> None:
-    """InputError unless `found` is a valid result of `match`."""
-    answer = Answer(matcher, "match")
-    answer.require_a(Alignment, found)
-    assert isinstance(found, Alignment)
-    answer.require_finite("T_map_base", found.T_map_base.xyt, 3)
-    answer.require_finite("information", found.information, 3, 3)
-    for what in ("overlap", "known", "rmse"):
-        answer.require_finite(what, getattr(found, what))

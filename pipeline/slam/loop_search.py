@@ -20,7 +20,7 @@ from pydantic import Field
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.back_end import BackEnd, solved
+from turtlebag.pipeline.slam.back_end import BackEnd
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.correlative import TURN_RAD, best_pose, make_field
 from turtlebag.pipeline.slam.correspondences import ROUGH
@@ -29,7 +29,7 @@ from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_acceptance import loop_verdict
 from turtlebag.pipeline.slam.loop_edits import NO_EDITS, KeyEdits
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
 from turtlebag.pipeline.slam.pose_graph import GTSAM
@@ -232,7 +232,7 @@ class LoopFinder(LoopSearch):
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()
-        self.poses[:n] = solved(self.back_end, SE2(self.poses[:n]), graph).xyt
+        self.poses[:n] = self.back_end.optimise(SE2(self.poses[:n]), graph).xyt
         if n < len(self.poses):
             move = SE2(self.poses[n - 1]) @ SE2(before).inverse()
             self.poses[n:] = (move @ SE2(self.poses[n:])).xyt
@@ -256,7 +256,6 @@ class LoopFinder(LoopSearch):
         if score < config.min_score:
             return Loop(i, j, fine, score, 0.0, 0.0, np.eye(3), "low score", gate)
         found = self.matcher.match(clouds, query, place, fine, ROUGH)
-        require_alignment(self.matcher, found)
         verdict = loop_verdict(found, fine, clouds, (query, place), config.min_overlap)
         T_j_i, fit = found.T_map_base.xyt, (found.overlap, found.rmse, found.information)
         return Loop(i, j, T_j_i, score, *fit, verdict, gate)

@@ -27,9 +27,9 @@ ends' frames (k, 3, errors)."""
 
 
 def position_sigmas(
-    T_map_keys: SE2, constraints: Sequence[Constraint], shared: Iterable[Shared] = ()
+    T_map_keys: SE2, constraints: Sequence[Constraint], shared: Iterable[Shared] = (), most: int = ASKED
 ) -> tuple[NDArray[np.int64], Array]:
-    """Up to ASKED keys (m,), and the standard deviation [m] of each along its least certain direction.
+    """Up to `most` keys (m,), and the standard deviation [m] of each along its least certain direction.
 
     A motion of the whole map is excluded, as after a rigid fit. A constraint has the weight that its kernel
     leaves it at these poses; constraints (k,) connect all keys to the first. `shared` are errors that many of
@@ -38,7 +38,7 @@ def position_sigmas(
     n = len(T_map_keys)
     # about the centre of the keys: with coordinates of a national grid no digits would be left
     T_map_keys = SE2(T_map_keys.xyt - [*T_map_keys.xy.mean(axis=0), 0.0])
-    asked = np.unique(np.linspace(0, n - 1, min(n, ASKED)).astype(np.int64))
+    asked = np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
     if n < 2:
         return asked, np.zeros(n)
     rows = (3 * asked[:, None] + np.arange(3)).ravel()

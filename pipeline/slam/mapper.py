@@ -12,6 +12,7 @@ beyond the reach of drift, refinement, the odometry's delay, the robot's own bod
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,23 +35,36 @@ from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker
 
-# After this many scans, those that are no key scans are dropped, except the last ones, to which the front end
-# may return after a gap.
-TIDY_SCANS, LAST_SCANS = 256, 64
-# This many key scans are enough for a place of this size, seen in one of this many directions.
-PLACE_KEYS, PLACE_M, DIRECTIONS = 3, 0.5, 8
-# The whole log is kept up to this many scans.
-MOST_SCANS = 20_000
+# Key scans of one place: of this size, seen in one of this many directions.
+PLACE_M, DIRECTIONS = 0.5, 8
 # The track is lost if, in this many scans in a row, less than this share of the points in known space fits.
 LOST_SCANS, LOST_AGREEMENT = 5, 0.6
+
+
+class Kept(NamedTuple):
+    """How much an online mapper keeps in memory."""
+
+    tidy_scans: int = 256
+    """After so many scans those that are no key scans are dropped, except the last ones."""
+    last_scans: int = 64
+    """The last ones, to which the front end may return after a gap."""
+    place_keys: int = 3
+    """So many key scans are enough for a place."""
+    log_scans: int = 20_000
+    """The whole log is kept up to so many scans."""
+
+
+USUAL = Kept()
 
 
 class Mapper:
     """Online mapper: scans in, pose and map out. The map's frame is the odometry's at the first scan; without
     odometry, the robot's."""
 
-    def __init__(self, lidar: LidarSpec, T_base_lidar: SE2, config: SlamConfig | None = None) -> None:
-        self.config = config or SlamConfig()
+    def __init__(
+        self, lidar: LidarSpec, T_base_lidar: SE2, config: SlamConfig | None = None, kept: Kept = USUAL
+    ) -> None:
+        self.config, self._kept = config or SlamConfig(), kept
         self.jumps: list[float] = []
         """How far each closed loop moved the robot [m]."""
         self._log = GrowingLog(lidar, T_base_lidar)
@@ -90,7 +104,7 @@ class Mapper:
         assert self._loops is not None
         T_key_scan = between(self._tracker.pose_of(self._tracker.keys[-1]), self._tracker.pose)
         self._by_key.append(key=np.array([len(self._tracker.keys) - 1]), T_key_scan=T_key_scan[None])
-        if len(self._prepared) - len(self._tracker.keys) >= TIDY_SCANS + LAST_SCANS:
+        if len(self._prepared) - len(self._tracker.keys) >= self._kept.tidy_scans + self._kept.last_scans:
             self._tidy(self._tracker, self._loops)
         return self.T_map_base
 
@@ -231,9 +245,9 @@ class Mapper:
         """Drop what is not needed any more: scans that are no key scans, and keys of well-seen places."""
         needed = loops.needed()
         needed[-FIELD_KEYS:] = True
-        kept = needed | _first_of_places(loops.poses)
+        kept = needed | _first_of_places(loops.poses, self._kept.place_keys)
         stays = np.zeros(len(self._prepared), dtype=bool)
-        stays[-LAST_SCANS:] = True
+        stays[-self._kept.last_scans :] = True
         stays[np.array(tracker.keys)] = kept
         self._prepared.keep(stays)
         self._clouds.keep(stays)
@@ -246,7 +260,7 @@ class Mapper:
             self._follow(tracker, loops)
         else:
             loops.scans = scans
-        if len(self._log) > MOST_SCANS:
+        if len(self._log) > self._kept.log_scans:
             self._drop_scans()
 
     def _drop_scans(self) -> None:
@@ -271,12 +285,12 @@ class Mapper:
         key[:] = (np.cumsum(kept) - 1)[before[key]]
 
 
-def _first_of_places(T_map_keys: Array) -> NDArray[np.bool_]:
-    """Which of the keys (n, 3) are among the first PLACE_KEYS of their place, (n,)."""
+def _first_of_places(T_map_keys: Array, count: int) -> NDArray[np.bool_]:
+    """Which of the keys (n, 3) are among the first `count` of their place, (n,)."""
     place = np.floor(T_map_keys / [PLACE_M, PLACE_M, 2.0 * np.pi / DIRECTIONS]).astype(np.int64)
     _, of = np.unique(place, axis=0, return_inverse=True)
     order = np.argsort(of, kind="stable")
     first = np.searchsorted(of[order], of[order])
     among = np.empty(len(of), dtype=bool)
-    among[order] = np.arange(len(of)) - first < PLACE_KEYS
+    among[order] = np.arange(len(of)) - first < count
     return among

@@ -124,7 +124,7 @@ def make_checked_grid(
         _require_cells(known, MAX_CELLS, resolution)
     counts, T_grid_base = Counts.none(rows, cols), T_map_base.xyt - np.array([*(corner * resolution), 0.0])
     seen_from = (lidar.directions, recording.T_base_lidar.xyt, knots)
-    _cast(counts, resolution, (length, returned), seen_from, T_grid_base, config.occupied_share)
+    cast_beams(counts, resolution, (length, returned), seen_from, T_grid_base, config.occupied_share)
     return trimmed(classify(counts, config), corner, config), certainty(counts, config.min_hits)
 
 
@@ -186,7 +186,7 @@ def thinned(
     out = cells.copy()
     for row in range(rows):
         for col in range(cols):
-            if cells[row, col] != OCCUPIED or _beside(cells, row, col, FREE):
+            if cells[row, col] != OCCUPIED or beside(cells, row, col, FREE):
                 continue
             for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 r, c = row, col
@@ -194,7 +194,7 @@ def thinned(
                     r, c = r + dr, c + dc
                     if not (0 <= r < rows and 0 <= c < cols) or cells[r, c] == FREE:
                         break
-                    wall = cells[r, c] == OCCUPIED and _beside(cells, r, c, FREE)
+                    wall = cells[r, c] == OCCUPIED and beside(cells, r, c, FREE)
                     if wall and hits[row, col] < behind * hits[r, c]:
                         out[row, col] = UNKNOWN
                         break
@@ -202,7 +202,7 @@ def thinned(
     for row in range(1, rows - 1):
         for col in range(1, cols - 1):
             # a cell next to unknown space closes the wall and stays
-            if kept[row, col] != OCCUPIED or _beside(kept, row, col, UNKNOWN):
+            if kept[row, col] != OCCUPIED or beside(kept, row, col, UNKNOWN):
                 continue
             for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 r, c = row + dr, col + dc
@@ -214,7 +214,7 @@ def thinned(
 
 
 @njit(cache=True)
-def _beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
+def beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
     """Whether one of the four neighbours is `what`."""
     rows, cols = cells.shape
     return (
@@ -267,7 +267,7 @@ def _require_cells(shape: Sequence[float], most: int, resolution: float) -> None
 
 
 @njit(cache=True)
-def _cast(
+def cast_beams(
     counts: Counts,
     resolution: float,
     beams: tuple[NDArray, NDArray],

@@ -69,7 +69,7 @@ def agreeing_sets(found: Sequence[Loop], agree: NDArray[np.bool_]) -> list[list[
     sets = []
     while left:
         among = np.array(sorted(left))
-        grown = [_grow(seed, among, agree, overlap).tolist() for seed in among.tolist()]
+        grown = [grow_set(seed, among, agree, overlap).tolist() for seed in among.tolist()]
         best = max(grown, key=lambda members: (support(found, members), len(members)))
         sets.append(sorted(best))
         left -= set(best)
@@ -82,7 +82,7 @@ def support(found: Sequence[Loop], members: Sequence[int]) -> int:
 
 
 @njit(cache=True)
-def _grow(seed: int, left: NDArray, agree: NDArray, overlap: Array) -> NDArray:
+def grow_set(seed: int, left: NDArray, agree: NDArray, overlap: Array) -> NDArray:
     """The set grown from one place among those `left` (n,): the next member is the candidate that agrees with
     most other candidates, and of several the one that fits best."""
     members, candidates = [seed], left[(left != seed) & agree[seed, left]]

@@ -8,10 +8,11 @@ free space, and no other place fits nearly as well: buildings repeat themselves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -20,13 +21,12 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.back_end import solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.free_space import MOST_PAIRS, MOST_VIOLATIONS, NEAR_M, THROUGH_M, mean_violation
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.point_to_line_icp import Alignment
@@ -91,17 +91,17 @@ def recognise_places(
     drift = drift_of(poses, steps, breaks.broken)
     found = _candidates(scans, drift, known, config, by_distance)
     found = [place for place in found if not edits.rejects(place.i, np.array([place.j])).any()]
-    believed, record = _believed(scans, found, drift, config, by_distance)
+    believed, record = accepted_sets(found, drift, Violations(scans, drift), config, by_distance)
     part, released = joined_parts(breaks, [(place.i, place.j) for members in believed for place in members])
     if not believed:
         return Recognition(T_map_keys, [], record, part, released)
     segment = breaks.segments()
     for members in believed:
-        poses, segment = _laid_together(poses, segment, members)
+        poses, segment = join_parts(poses, segment, members)
     loops = [by_distance.constraint(place) for members in believed for place in members]
     free = [*relaxed(steps, released), *known]
-    closed = solved(back_end, SE2(poses), [*free, *firm(loops)])
-    return Recognition(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
+    closed = back_end.optimise(SE2(poses), [*free, *firm(loops)])
+    return Recognition(back_end.optimise(closed, [*free, *loops]), loops, record, part, released)
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
@@ -111,26 +111,17 @@ def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Co
     ]
 
 
-def _candidates(
-    scans: KeyScans,
-    drift: Drift,
-    known: Sequence[Constraint],
-    config: PlaceRecognitionConfig,
-    by_distance: LoopConfig,
-) -> list[Loop]:
-    """Every submap that drift may have moved beyond the reach of the loops, matched with the places that it
-    resembles. A place that loops have held together since is searched only once, however often it was
-    passed."""
-    poses, found, reach_m = drift.T_map_keys, [], by_distance.reach_m
-    matcher = by_distance.matcher()
-    places = windows(len(scans.keys), drift.broken)
+def submap_searches(
+    drift: Drift, known: Sequence[Constraint], middles: Iterable[int], reach_m: float
+) -> Iterator[tuple[int, dict[int, float]]]:
+    """Submaps, by their middle keys, that drift may have moved beyond the reach of the loops, each with the
+    older ones that it may be at, and how far it may be off there [m].
 
-    @cache
-    def submap(middle: int) -> Submap | None:
-        return make_submap(*scans, poses, middle, places[middle])
-
+    A place that loops have held together since is searched only once, however often it was passed.
+    """
+    poses = drift.T_map_keys
     ways, first_visits = drift.ways(known), list[int]()
-    for i in places:
+    for i in middles:
         older = np.array(first_visits, dtype=np.int64)
         off, _ = reach(read_at(ways(i)[older], poses[i]))
         apart = np.linalg.norm(poses[older, :2] - poses[i, :2], axis=1)
@@ -138,22 +129,41 @@ def _candidates(
         if ((apart + off < NEAR_M) & same_way).any():
             continue
         first_visits.append(i)
-        far = older[(off > reach_m) & (apart < off + MOST_SHIFT * RESOLUTION_M)]
-        query = submap(i) if len(far) else None
+        far = (off > reach_m) & (apart < off + MOST_SHIFT * RESOLUTION_M)
+        if far.any():
+            yield i, dict(zip(older[far].tolist(), off[far].tolist(), strict=True))
+
+
+def _candidates(
+    scans: KeyScans,
+    drift: Drift,
+    known: Sequence[Constraint],
+    config: PlaceRecognitionConfig,
+    by_distance: LoopConfig,
+) -> list[Loop]:
+    """Every submap that is searched for, matched with the places that it resembles."""
+    poses, found, matcher = drift.T_map_keys, list[Loop](), by_distance.matcher()
+    places = windows(len(scans.keys), drift.broken)
+
+    @cache
+    def submap(middle: int) -> Submap | None:
+        return make_submap(*scans, poses, middle, places[middle])
+
+    for i, off in submap_searches(drift, known, places, by_distance.reach_m):
+        query = submap(i)
         if query is None:
             continue
-        allowed = dict(zip(first_visits, off.tolist(), strict=False))
-        others = [other for j in far.tolist() if (other := submap(j)) is not None]
+        others = [other for j in off if (other := submap(j)) is not None]
         like, pictures = similarity(query, others), Pictures()
         for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
             guess = between(poses[others[k].middle], poses[i])
             laid = laid_on(query, others[k], pictures)
-            if laid is not None and np.hypot(*(laid[1] - guess)[:2]) < allowed[others[k].middle]:
-                found.append(_settled(scans, query, others[k], *laid, config, matcher))
+            if laid is not None and np.hypot(*(laid[1] - guess)[:2]) < off[others[k].middle]:
+                found.append(judge_place(scans, query, others[k], *laid, config, matcher))
     return found
 
 
-def _settled(
+def judge_place(
     scans: KeyScans,
     query: Submap,
     other: Submap,
@@ -167,7 +177,6 @@ def _settled(
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     result = matcher.match(clouds, middle, there, start, ROUGH)
-    require_alignment(matcher, result)
     pose = result.T_map_base.xyt
     if result.overlap < config.min_overlap:  # no need to ask the other scans
         return _low_overlap(query, other, score, result)
@@ -196,10 +205,49 @@ def _alone(scan: int) -> Stretch:
     return Stretch(scan, np.array([scan]), np.zeros((1, 3)))
 
 
-def _believed(
-    scans: KeyScans,
+class Violations(NamedTuple):
+    """Mean free-space violations, 0..1, of visits to one place."""
+
+    scans: KeyScans
+    drift: Drift
+
+    def usual(self) -> float:
+        """Of visits between which there is little drift: people, glass."""
+        poses = self.drift.T_map_keys
+        pairs = (
+            scipy.spatial.cKDTree(poses[:, :2]).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
+        )
+        # drift excludes those far apart in time; a sample holds enough of the others
+        pairs = pairs[np.lexsort(pairs.T[::-1])][:: max(1, len(pairs) // (10 * MOST_PAIRS))]
+        off = reach(read_at(self.drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
+        return self._mean(poses, pairs[off < THROUGH_M], 0.0)
+
+    def with_stretch(self, stretch: list[Loop]) -> float:
+        """Of the revisits with the whole stretch placed; 1 without any. Keys move with the nearest recognised
+        one, as long as drift cannot make a wall appear to be seen through."""
+        n, poses = np.arange(len(self.scans.keys)), self.drift.T_map_keys
+        to_i = np.array([_off(self.drift, n, place.i) for place in stretch])
+        to_j = np.array([_off(self.drift, n, place.j) for place in stretch])
+        newer = np.flatnonzero((to_i.min(axis=0) < THROUGH_M) & (to_i.min(axis=0) < to_j.min(axis=0)))
+        older = np.flatnonzero((to_j.min(axis=0) < THROUGH_M) & (to_j.min(axis=0) <= to_i.min(axis=0)))
+        moved = poses.copy()
+        for k in newer.tolist():
+            place = stretch[int(np.argmin(to_i[:, k]))]
+            at_place = SE2(poses[place.j]) @ SE2(place.T_j_i)
+            moved[k] = (at_place @ (SE2(poses[place.i]).inverse() @ SE2(poses[k]))).xyt
+        near = scipy.spatial.cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
+        pairs = [(newer[a], older[b]) for a, bs in enumerate(near) for b in sorted(bs)]
+        return self._mean(moved, np.array(pairs, dtype=np.int64).reshape(-1, 2), 1.0)
+
+    def _mean(self, poses: Array, pairs: NDArray[np.int64], unknown: float) -> float:
+        """Of pairs (n, 2) of keys, thinned to every second, third, ... if there are many."""
+        return mean_violation(*self.scans, poses, pairs[:: max(1, len(pairs) // MOST_PAIRS)], unknown)
+
+
+def accepted_sets(
     found: list[Loop],
     drift: Drift,
+    violations: Violations,
     config: PlaceRecognitionConfig,
     by_distance: LoopConfig,
 ) -> tuple[list[list[Loop]], list[Loop]]:
@@ -210,13 +258,13 @@ def _believed(
         return [], list(found)
     comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.covariance_scale)
     verdicts = ["too few agree"] * len(places)
-    most = ALIKE_FACTOR * _usual_violation(scans, drift) + MOST_VIOLATIONS
+    most = ALIKE_FACTOR * violations.usual() + MOST_VIOLATIONS
     feasible: list[tuple[list[int], int, float]] = []
     for members in agreeing_sets(places, agree & comparable):
         supporters = support(places, members)
         if supporters < config.min_support - 1:
             continue
-        mean = _stretch_violation(scans, [places[k] for k in members], drift)
+        mean = violations.with_stretch([places[k] for k in members])
         if mean > most:
             _mark(verdicts, members, "the stretch contradicts the place")
         else:
@@ -244,49 +292,13 @@ def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
         verdicts[k] = verdict
 
 
-def _stretch_violation(scans: KeyScans, stretch: list[Loop], drift: Drift) -> float:
-    """Mean free-space violation of the revisits, with the whole stretch placed; 1 without any. Keys move with
-    the nearest recognised one, as long as drift cannot make a wall appear to be seen through."""
-    n, poses = np.arange(len(scans.keys)), drift.T_map_keys
-    to_i = np.array([_off(drift, n, place.i) for place in stretch])
-    to_j = np.array([_off(drift, n, place.j) for place in stretch])
-    newer = np.flatnonzero((to_i.min(axis=0) < THROUGH_M) & (to_i.min(axis=0) < to_j.min(axis=0)))
-    older = np.flatnonzero((to_j.min(axis=0) < THROUGH_M) & (to_j.min(axis=0) <= to_i.min(axis=0)))
-    moved = poses.copy()
-    for k in newer.tolist():
-        place = stretch[int(np.argmin(to_i[:, k]))]
-        at_place = SE2(poses[place.j]) @ SE2(place.T_j_i)
-        moved[k] = (at_place @ (SE2(poses[place.i]).inverse() @ SE2(poses[k]))).xyt
-    near = scipy.spatial.cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
-    pairs = np.array([(newer[a], older[b]) for a, bs in enumerate(near) for b in sorted(bs)], dtype=np.int64)
-    return _violation(scans, moved, pairs.reshape(-1, 2), 1.0)
-
-
-def _usual_violation(scans: KeyScans, drift: Drift) -> float:
-    """Mean free-space violation of visits between which there is little drift: people, glass."""
-    poses = drift.T_map_keys
-    pairs = scipy.spatial.cKDTree(poses[:, :2]).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
-    # drift excludes those far apart in time; a sample holds enough of the others
-    pairs = pairs[np.lexsort(pairs.T[::-1])][:: max(1, len(pairs) // (10 * MOST_PAIRS))]
-    off = reach(read_at(drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
-    return _violation(scans, poses, pairs[off < THROUGH_M], 0.0)
-
-
-def _violation(scans: KeyScans, poses: Array, pairs: NDArray[np.int64], unknown: float) -> float:
-    """Mean free-space violation of pairs (n, 2) of keys, thinned to every second, third, ... if there are
-    many."""
-    return mean_violation(*scans, poses, pairs[:: max(1, len(pairs) // MOST_PAIRS)], unknown)
-
-
 def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
     """The uncertainty of keys (n,) relative to another one [m], (n,)."""
     gathered = drift.along(keys, np.full(len(keys), other))
     return reach(read_at(gathered, drift.T_map_keys[keys]))[0]
 
 
-def _laid_together(
-    poses: Array, part: NDArray[np.int64], members: list[Loop]
-) -> tuple[Array, NDArray[np.int64]]:
+def join_parts(poses: Array, part: NDArray[np.int64], members: list[Loop]) -> tuple[Array, NDArray[np.int64]]:
     """Poses with the newer part of a broken track moved to the accepted places, and the parts joined."""
     best = max(members, key=lambda place: place.overlap)
     newer, older = part[best.i], part[best.j]

@@ -188,7 +188,7 @@ def align_kernel(
         rms = math.sqrt(squares / weights) if weights > 0.0 else 0.0
         if iteration == limits.iterations:
             break
-        step = _step(hessian, faked, gradient, pose, prior)
+        step = gauss_newton_step(hessian, faked, gradient, pose, prior)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
@@ -226,16 +226,16 @@ def add_equation(h: Array, g: Array, w: float, j0: float, j1: float, j2: float, 
 
 
 @njit(cache=True)
-def _step(hessian: Array, faked: float, gradient: Array, pose: Array, prior: Prior) -> Array:
+def gauss_newton_step(hessian: Array, faked: float, gradient: Array, pose: Array, prior: Prior) -> Array:
     """Gauss-Newton step in the base frame; unobservable directions are left to the prior."""
     a = observable(hessian, faked)
-    answer = _safe_solve(hessian, gradient)
+    answer = safe_solve(hessian, gradient)
     b = -(a @ answer)
     if prior.information[0, 0] > 0.0:
         # error of the pose seen from the prior, turned into the base frame
         c, s = math.cos(pose[2]), math.sin(pose[2])
         dx, dy = pose[0] - prior.pose[0], pose[1] - prior.pose[1]
-        e = np.array([c * dx + s * dy, -s * dx + c * dy, _wrap(pose[2] - prior.pose[2])])
+        e = np.array([c * dx + s * dy, -s * dx + c * dy, wrap_angle(pose[2] - prior.pose[2])])
         w = 1.0
         if prior.cauchy > 0.0:
             apart = contradiction(e - answer, prior.information, a)
@@ -244,7 +244,7 @@ def _step(hessian: Array, faked: float, gradient: Array, pose: Array, prior: Pri
         w *= PRIOR_SHARE
         a = a + w * prior.information
         b = b - w * (prior.information @ e)
-    return _safe_solve(a, b)
+    return safe_solve(a, b)
 
 
 @njit(cache=True)
@@ -255,16 +255,18 @@ def contradiction(apart: Array, information: Array, seen: Array) -> float:
     `seen` that of the scan's points. A scan contradicts nothing in directions that it hardly observes.
     """
     sure = seen / STEP_COVARIANCE_SCALE
-    return float(apart @ (information @ _safe_solve(information + sure, sure @ apart)))
+    return float(apart @ (information @ safe_solve(information + sure, sure @ apart)))
 
 
 @njit(cache=True)
-def _wrap(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
+    """An angle in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @njit(cache=True)
-def _safe_solve(a: Array, b: Array) -> Array:
+def safe_solve(a: Array, b: Array) -> Array:
+    """Solution of `a` (3, 3) x = `b` (3,), damped by a little, so that there always is one."""
     damped = a.copy()
     scale = 1e-9 + 1e-6 * (a[0, 0] + a[1, 1])
     damped[0, 0] += scale

@@ -119,7 +119,7 @@ def _equations(
 ) -> tuple[Array, Array]:
     """Normal equations (2, 2), (2,) of offset and square; the relative pose and scale of each pair are
     eliminated."""
-    h, g, straight = np.zeros((2, 2)), np.zeros(2), _straight(clouds, keys)
+    h, g, straight = np.zeros((2, 2)), np.zeros(2), straight_points(clouds, keys)
     information = STEP_COVARIANCE_SCALE / TURN_SHARE**2
     for k in range(len(pairs)):
         a, b = pairs[k, 0], pairs[k, 1]
@@ -197,7 +197,7 @@ def _ray(x: float, y: float, nx: float, ny: float) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _straight(clouds: Clouds, keys: NDArray) -> NDArray:
+def straight_points(clouds: Clouds, keys: NDArray) -> NDArray:
     """Points (m,) of key scans whose surface continues straight to both sides."""
     normals, line_ok = clouds.normals, clouds.line_ok
     out = np.zeros(len(normals), dtype=np.bool_)

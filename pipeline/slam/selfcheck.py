@@ -60,7 +60,7 @@ def check_map(
     `noise` is that assumed for the odometry; `certainty` is the grid's."""
     recording, borders, breaks = session.recording, session.borders, session.unconfirmed
     track, T_map_keys = replace(session.track, overlap=overlap), session.graph.T_map_keys
-    pairs = _revisits(T_map_keys)
+    pairs = revisits_of(T_map_keys)
     share = free_space_violations(session.clouds(), track.keys, T_map_keys.xyt, pairs)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
@@ -114,7 +114,8 @@ def check_map(
     return SelfCheck(len(share), mean, bad, len(lost), sigma, *decided, violations, tuple(reasons))
 
 
-def _revisits(T_map_keys: SE2) -> NDArray[np.int64]:
+def revisits_of(T_map_keys: SE2) -> NDArray[np.int64]:
+    """Pairs (n, 2) of keys that are near in place and far in time, in order."""
     pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(NEAR_M, output_type="ndarray")
     pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= APART_KEYS]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

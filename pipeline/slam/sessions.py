@@ -100,6 +100,7 @@ def joined_recording(recordings: list[Recording]) -> Recording:
         T_odom_base=SE2(np.concatenate(odometry)) if with_odometry else None,
         odometry=None,
         notes=tuple(note for recording in recordings for note in recording.notes),
+        findings=tuple(finding for recording in recordings for finding in recording.findings),
     )
 
 

@@ -46,7 +46,7 @@ from turtlebag.pipeline.slam.sessions import (
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks, track_breaks_of
-from turtlebag.pipeline.slam.tracker import Maker, track_log
+from turtlebag.pipeline.slam.tracker import track_log
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
 
 # Settings that the front end does not read; a change of any other one starts it anew.
@@ -139,23 +139,11 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
 
 
 @dataclass(frozen=True)
-class Steps:
-    """The steps that `turtlebag ablate` replaces with ground truth; `front_end` None: by the settings."""
-
-    front_end: Maker | None = None
-    close_graph: Callable[..., Graph] = close_graph
-
-
-USUAL = Steps()
-
-
-@dataclass(frozen=True)
 class _Run:
     """The context of a run, passed to every step."""
 
     config: SlamConfig
     progress: Progress
-    steps: Steps
     edits: Edits
 
 
@@ -165,7 +153,6 @@ def run_slam(
     progress: Progress = no_progress,
     *,
     more: Sequence[Recording] = (),
-    steps: Steps = USUAL,
     edits: Edits = Edits(),  # noqa: B008 (frozen)
 ) -> SlamResult:
     """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
@@ -175,7 +162,7 @@ def run_slam(
     loops in `recording` that the user rejected or added.
     """
     edits.require_scans(len(recording), recording.source)
-    run = _Run(config, progress, steps, edits)
+    run = _Run(config, progress, edits)
     return _mapped(_session(recording, run), more, run)
 
 
@@ -186,7 +173,7 @@ def continue_slam(
     progress: Progress = no_progress,
 ) -> SlamResult:
     """As `run_slam`, but from the finished session of an earlier map instead of its recording."""
-    return _mapped(session, more, _Run(config, progress, USUAL, Edits()))
+    return _mapped(session, more, _Run(config, progress, Edits()))
 
 
 def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResult:
@@ -250,7 +237,7 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
     def placed(motion: SE2 | None) -> tuple[CloudsOf, Track]:
         clouds_of = clouds_maker(recording, usable, motion)
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        make = run.steps.front_end or front_end_maker(config.front_end)
+        make = front_end_maker(config.front_end)
         return clouds_of, track_log(recording, clouds_of(None), config.tracking, usable, scans, make)
 
     clouds_of, track = placed(motion)
@@ -358,7 +345,7 @@ def _optimised(
     if config.loops.enabled and len(keys) > 2:
         loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
         scans, closing = KeyScans(clouds(), keys), LoopClosing(loops, edits, back_end)
-        graph = run.steps.close_graph(
+        graph = close_graph(
             scans, graph.T_map_keys, breaks, steps, closing, config.place_recognition, run.progress
         )
     if config.refine.rounds > 0 and len(keys) > 2:

@@ -81,7 +81,7 @@ def make_submap(
     bins = np.floor((np.arctan2(normals[:, 1], normals[:, 0]) + np.pi) / (2 * np.pi) * HEADINGS).astype(int)
     directions = np.bincount(bins % HEADINGS, minlength=HEADINGS).astype(float)
     return Submap(
-        middle, chosen, T_middle_keys, points, _signature(points, normals), directions, _spectrum(points)
+        middle, chosen, T_middle_keys, points, signature_of(points, normals), directions, spectrum_of(points)
     )
 
 
@@ -101,7 +101,7 @@ def laid_on(query: Submap, other: Submap, pictures: Pictures) -> tuple[float, Ar
     `pictures` keeps those of the query for the next other submap.
     """
     inner = query.points[np.linalg.norm(query.points, axis=1) < REACH_M - 2.0]
-    headings = _headings(query.directions, other.directions)
+    headings = likely_turns(query.directions, other.directions)
     if len(inner) == 0 or not headings:
         return None
     if new := [heading for heading in headings if heading not in pictures]:
@@ -137,7 +137,8 @@ def _cells(points: Array) -> NDArray[np.int64]:
     return np.floor(points / RESOLUTION_M).astype(np.int64)
 
 
-def _spectrum(points: Array) -> NDArray[np.complex64]:
+def spectrum_of(points: Array) -> NDArray[np.complex64]:
+    """Spectrum of the picture of points (n, 2): their cells, blurred by a cell."""
     image = np.zeros((CELLS, CELLS), dtype=np.float32)
     cells = _cells(points)
     for dy in (-1, 0, 1):
@@ -148,7 +149,7 @@ def _spectrum(points: Array) -> NDArray[np.complex64]:
     return np.asarray(scipy.fft.rfft2(image))
 
 
-def _signature(points: Array, normals: Array) -> Array:
+def signature_of(points: Array, normals: Array) -> Array:
     """Histogram over pairs of points: distance, and angle between the normals; sums to one."""
     stride = max(1, len(points) // PAIR_SAMPLE)
     p, n = points[::stride], normals[::stride]
@@ -161,7 +162,7 @@ def _signature(points: Array, normals: Array) -> Array:
     return np.asarray(counts / max(counts.sum(), 1.0))
 
 
-def _headings(query: Array, other: Array) -> list[int]:
+def likely_turns(query: Array, other: Array) -> list[int]:
     """Turns of the query (in bins) at which the histograms of normals agree best, and their neighbours."""
     match = scipy.fft.irfft(scipy.fft.rfft(other) * np.conj(scipy.fft.rfft(query)), HEADINGS)
     smooth = match + 0.5 * (np.roll(match, 1) + np.roll(match, -1))

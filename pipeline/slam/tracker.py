@@ -20,7 +20,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.calibration import Calibration, calibrate
 from turtlebag.pipeline.slam.clouds import GAP_S, Clouds
 from turtlebag.pipeline.slam.correlative import Field, best_pose, make_field
-from turtlebag.pipeline.slam.front_end import FrontEnd, Placed, require_placed
+from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 # Key scans in the coarse search's field, and the size of its cells [m].
@@ -71,7 +71,6 @@ class Tracker:
             placed, moved = Placed(pose, np.zeros((3, 3)), 0.0), True
         else:
             said = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
-            require_placed(self._front_end, said, self.scan)
             # The front end may continue with its own arrays.
             own = np.array(said.T_track_base, np.float64), np.array(said.information, np.float64)
             placed = replace(said, T_track_base=own[0], information=own[1])

@@ -125,7 +125,7 @@ def compared_turns(recording: Recording) -> Timing:
     late_s, over, sweep, others = 0.0, False, None, _sweeps(recording, usual) if judges else []
     for _ in range(ROUNDS):
         turns = compared(lidar, late_s)
-        found, against = _delay(turns)
+        found, against = delay_of(turns)
         if against and not over:
             lidar, over = turned_over(lidar), True
             continue
@@ -152,7 +152,7 @@ def _sweeps(recording: Recording, usual_s: float) -> list[float]:
 
 
 def _other_sweep(
-    compared: Callable[..., _Turns], lidar: LidarSpec, late_s: float, others: Sequence[float]
+    compared: Callable[..., Turns], lidar: LidarSpec, late_s: float, others: Sequence[float]
 ) -> float | None:
     """The alternative time between beams [s] with which scans and odometry clearly agree better; None if
     there is none."""
@@ -167,7 +167,7 @@ def _other_sweep(
     return best
 
 
-def _gain(turns: _Turns, other: _Turns) -> Array:
+def _gain(turns: Turns, other: Turns) -> Array:
     """The log-likelihood ratio in favour of the other, by stretch (STRETCHES,)."""
     sigma = min(turns.sigma, other.sigma)
     return turns.least(sigma) - other.least(sigma)
@@ -182,7 +182,7 @@ def odometry_stream(recording: Recording) -> Trajectory:
     return Trajectory(stamps, recording.T_odom_base[first])
 
 
-class _Turns(NamedTuple):
+class Turns(NamedTuple):
     """The turns of scans in spans (n,) of some stretches minus and plus those of the odometry at each delay,
     (2, delays, n) [rad]."""
 
@@ -214,7 +214,7 @@ class _Turns(NamedTuple):
         return np.asarray(costs[int(costs.sum(axis=1).argmin())])
 
 
-def _delay(turns: _Turns) -> tuple[float, bool]:
+def delay_of(turns: Turns) -> tuple[float, bool]:
     """The delay [s] at which odometry and scans turn together, else 0; and whether they turn against each
     other."""
     with_it, against = turns.costs(turns.sigma)
@@ -253,7 +253,7 @@ def _turns(
     lidar: LidarSpec,
     late_s: float,
     every: int = 1,
-) -> _Turns:
+) -> Turns:
     """The turns by scans and by odometry in one of `every` stretches, the sweeps of the lidar deskewed as if
     the odometry were this late."""
     spans, stream = [turned(lidar, late_s, start) for start in starts[::every]], odometry_stream(scans)
@@ -262,7 +262,7 @@ def _turns(
     later = DELAYS_S[:, None]
     reported = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
     stretch = np.repeat(np.arange(len(spans)), [*map(len, spans)])
-    return _Turns(np.stack([by_scans - reported, by_scans + reported]), stretch)
+    return Turns(np.stack([by_scans - reported, by_scans + reported]), stretch)
 
 
 def _turned(scans: Recording, noise: RangeNoise, lidar: LidarSpec, late_s: float, start: int) -> Array:

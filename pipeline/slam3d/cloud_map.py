@@ -27,15 +27,15 @@ MOST_VOXELS = 8_000_000
 class CloudMap:
     """Voxel means of any number of points, in memory that grows with the map and not with the log."""
 
-    def __init__(self, voxel: float, max_voxels: int = MOST_VOXELS) -> None:
-        self.voxel, self._most = voxel, max_voxels
+    def __init__(self, voxel: float, max_voxels: int = MOST_VOXELS, at_once: int = AT_ONCE) -> None:
+        self.voxel, self._most, self._at_once = voxel, max_voxels, at_once
         self._sums = np.zeros((0, 4))
         self._waiting: list[Array] = []
 
     def add(self, points: Array) -> None:
         """Gather points (n, 3) of the map."""
         self._waiting.append(points)
-        if sum(map(len, self._waiting)) > AT_ONCE:
+        if sum(map(len, self._waiting)) > self._at_once:
             self._gather()
 
     def points(self) -> tuple[Array, Array]:

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.costmap import Costmap
@@ -113,12 +112,3 @@ class Ramped:
     def brake(self, last: Twist) -> Twist:
         """The next command when braking to a standstill, as hard as the robot can."""
         return ramped(Twist(), last, self.hardest)
-
-
-def require_twist(part: object, method: str, command: object) -> None:
-    """InputError unless a method has returned a command: `v` [m/s] and `w` [rad/s], finite."""
-    answer = Answer(part, method)
-    answer.require_a(Twist, command)
-    assert isinstance(command, Twist)
-    answer.require_finite("v", command.v)
-    answer.require_finite("w", command.w)

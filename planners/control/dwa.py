@@ -130,20 +130,19 @@ class Dwa(Ramped):
     """A controller (see turtlebag.planners.control.controller)."""
 
     def __init__(self, model: RobotModel, config: DwaConfig, period: float) -> None:
-        self._window, self._weights = numbers(config, model)
-        super().__init__(model, period, max_v=self._window.max_v, max_w=self._window.max_w)
+        self.window, self.weights = numbers(config, model)
+        super().__init__(model, period, max_v=self.window.max_v, max_w=self.window.max_w)
         self.samples = sample_footprint(model, 0.05)
         self.state = "idle"
         self._settler = Pursuit(model, period)
         self._path = SE2.identity(0)
         self._costmap: Costmap | None = None
-        self._to_goal: Field32 = np.zeros((1, 1), dtype=np.float32)
-        self._to_path: Field32 = np.zeros((1, 1), dtype=np.float32)
+        self._floor: ArcFloor | None = None
 
     def set_path(self, poses: SE2) -> None:
         """Follow a new path; the last pose is the goal."""
         self._path = poses
-        self._costmap = None
+        self._floor = None
         self._settler.set_path(poses)
         self.state = "follow"
 
@@ -152,21 +151,22 @@ class Dwa(Ramped):
         if len(self._path) < 2:
             return self.brake(last)
         gap = float(np.linalg.norm(self._path.xy[-1] - pose.xy))
-        if gap < self._window.settle_distance:
+        if gap < self.window.settle_distance:
             if self._settler.state in ("turn", "follow"):
                 self._settler.state = "settle"
             command = self._settler.command(pose, last, costmap)
             self.state = self._settler.state
             return command
         self.state = "follow"
-        self._look_at(pose, costmap)
         return ramped(self._best_arc(pose, last, costmap), last, self.limits)
 
-    def _look_at(self, pose: SE2, costmap: Costmap) -> None:
-        """Distances to goal and path over the floor, computed again when the floor has changed."""
-        if costmap is self._costmap:
-            return
-        self._costmap = costmap
+    def floor(self, pose: SE2, costmap: Costmap) -> ArcFloor:
+        """Distances to goal and path over the floor, computed again when path or costmap have changed."""
+        if self._floor is None or costmap is not self._costmap:
+            self._costmap, self._floor = costmap, self._new_floor(pose, costmap)
+        return self._floor
+
+    def _new_floor(self, pose: SE2, costmap: Costmap) -> ArcFloor:
         res = costmap.resolution
         cells = np.floor((costmap.T_grid_map @ self._path.xy)[:, ::-1] / res).astype(np.int64)
         cells = np.clip(cells, 0, np.array(costmap.lethal.shape) - 1)
@@ -178,34 +178,35 @@ class Dwa(Ramped):
             s.inscribed + PASSAGE_M,
         ):
             free = costmap.clearance > radius
-            self._to_goal = grid_distance(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(
-                res
-            )
-            if np.isfinite(self._to_goal[here[0], here[1]]):
+            to_goal = grid_distance(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
+            if np.isfinite(to_goal[here[0], here[1]]):
                 break
         on = np.zeros(costmap.lethal.shape, dtype=bool)
         on[cells[:, 0], cells[:, 1]] = True
-        self._to_path = distance_field(on, res)
+        return ArcFloor(costmap.clearance, to_goal, distance_field(on, res), res)
 
-    def _best_arc(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
-        c, limits = self._window, self.limits
+    def speeds(self, last: Twist) -> tuple[Array, Array]:
+        """The dynamic window: speeds (n,) and turning speeds (m,) that are tried after a command."""
+        c, limits = self.window, self.limits
         dv, dw = limits.max_dv * c.time, limits.max_dw * c.time
         lowest = min(max(c.min_v, -limits.max_v), 0.0)
         vs = np.linspace(max(last.v - dv, lowest), min(last.v + dv, limits.max_v), c.vx_samples)
         ws = np.linspace(max(last.w - dw, -limits.max_w), min(last.w + dw, limits.max_w), c.vth_samples)
         # as in dwa_local_planner, an exact zero is added when the window straddles it
-        vs, ws = np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
+        return np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
+
+    def _best_arc(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         # nearer to the goal than that, the forward point would hold the robot back
         near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < FORWARD_M
         ahead = 0.0 if near else FORWARD_M
-        weights = self._weights._replace(braking=ACCELERATION_SHARE * limits.max_dv, ahead=ahead)
-        floor = ArcFloor(costmap.clearance, self._to_goal, self._to_path, costmap.resolution)
+        weights = self.weights._replace(braking=ACCELERATION_SHARE * self.limits.max_dv, ahead=ahead)
         at = tuple((costmap.T_grid_map @ pose).xyt.tolist())
-        return Twist(*best_arc(floor, self.samples, at, vs, ws, weights))
+        return Twist(*best_arc(self.floor(pose, costmap), self.samples, at, *self.speeds(last), weights))
 
 
 @njit(cache=True)
-def _value(field: Field32, resolution: float, x: float, y: float, otherwise: float) -> float:
+def value_at(field: Field32, resolution: float, x: float, y: float, otherwise: float) -> float:
+    """The field's value in the cell of a point; `otherwise` off the field, or where it is not finite."""
     rows, cols = field.shape
     row, col = math.floor(y / resolution), math.floor(x / resolution)
     if row < 0 or col < 0 or row >= rows or col >= cols or not math.isfinite(field[row, col]):
@@ -235,7 +236,7 @@ def best_arc(
     enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
     here = footprint_clearance(clearance, resolution, footprint, x, y, yaw)
     # Distance from where no way leads to the goal: longer than any way over the cells.
-    base = _value(floor.to_goal, resolution, x, y, clearance.size * resolution)
+    base = value_at(floor.to_goal, resolution, x, y, clearance.size * resolution)
     judged = round(c.time / STEP_S)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
     for v in vs:
@@ -268,14 +269,14 @@ def best_arc(
             if not admissible:
                 continue
             far = base + 1.0
-            end = _value(floor.to_goal, resolution, ex, ey, far)
+            end = value_at(floor.to_goal, resolution, ex, ey, far)
             fx, fy = ex + c.ahead * math.cos(eyaw), ey + c.ahead * math.sin(eyaw)
-            nose = _value(floor.to_goal, resolution, fx, fy, far)
-            off = _value(floor.to_path, resolution, ex, ey, 1.0)
+            nose = value_at(floor.to_goal, resolution, fx, fy, far)
+            off = value_at(floor.to_path, resolution, ex, ey, 1.0)
             back = max(-v, 0.0) * c.time
             cost = c.goal * (end + nose) + c.path * off + c.back * back - c.room * min(room, COMFORT_M)
             if c.nose > 0.0:
-                cost += c.nose * _value(floor.to_path, resolution, fx, fy, 1.0)
+                cost += c.nose * value_at(floor.to_path, resolution, fx, fy, 1.0)
             if c.occupied > 0.0:
                 cost += c.occupied * inflated_cost_at(room - inscribed, COST_SCALING)
             if cost < best_cost:

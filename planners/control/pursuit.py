@@ -9,7 +9,7 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.along_path import arc_lengths, point_at, project
-from turtlebag.planners.control.controller import Ramped, ramped
+from turtlebag.planners.control.controller import Ramped, SpeedLimits, ramped
 from turtlebag.planners.control.goal_checker import STOPPED_V, TOLERANCES
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
@@ -94,22 +94,17 @@ class Pursuit(Ramped):
             self.state = "turn"
         if self.state == "turn":
             if abs(bearing) > TURNED_RAD:
-                return Twist(0.0, self._turning_speed(bearing) if abs(last.v) <= STOPPED_V else last.w * 0.5)
+                rolling = abs(last.v) > STOPPED_V
+                return Twist(0.0, last.w * 0.5 if rolling else turning_speed(self.limits, bearing))
             self.state = "follow"
         distance = max(math.hypot(px - x, py - y), SETTLE_M)
         curvature = 2.0 * math.sin(bearing) / distance
-        v = self._regulated_speed(room, curvature, remaining)
+        v = regulated_speed(self.limits, room, curvature, remaining)
         return Twist(v, curvature * v)
 
     def _room(self, x: float, y: float, yaw: float, costmap: Costmap) -> float:
-        gx, gy, gyaw = _in_grid(costmap, x, y, yaw)
+        gx, gy, gyaw = grid_pose(costmap, x, y, yaw)
         return footprint_clearance(costmap.clearance, costmap.resolution, self.samples, gx, gy, gyaw)
-
-    def _regulated_speed(self, room: float, curvature: float, remaining: float) -> float:
-        top, bend = self.limits.max_v, abs(curvature)
-        v = top * min(1.0, max(SLOWEST, room / NEAR_M))
-        v = min(v, math.sqrt(2.0 * BRAKING * self.limits.max_dv * remaining))
-        return min(v, math.sqrt(MAX_LATERAL / bend), self.limits.max_w / bend) if bend > 0.0 else v
 
     def _onto_goal(self, x: float, y: float, yaw: float, last: Twist) -> Twist:
         gx, gy, goal_yaw = self._goal
@@ -123,7 +118,7 @@ class Pursuit(Ramped):
             if distance < SETTLED or (distance < RELEASE_M * 0.8 and ahead < 0.003):
                 self.state = "align"
             elif abs(steer) > TURNED_RAD and distance > SETTLED:
-                return Twist(0.0, self._turning_speed(steer))
+                return Twist(0.0, turning_speed(self.limits, steer))
             else:
                 v = min(0.5 * self.limits.max_v, GAIN * distance)
                 return Twist(-v if backwards else v, GAIN * steer)
@@ -132,14 +127,24 @@ class Pursuit(Ramped):
             self.state = "settle"
             return Twist()
         self.state = "arrived" if abs(error) < SETTLED else "align"
-        return Twist(0.0, 0.0 if self.state == "arrived" else self._turning_speed(error))
-
-    def _turning_speed(self, error: float) -> float:
-        """Fast at a distance, and slow enough to stop at the goal."""
-        return math.copysign(min(self.limits.max_w, 2.0 * GAIN * abs(error)), error)
+        return Twist(0.0, 0.0 if self.state == "arrived" else turning_speed(self.limits, error))
 
 
-def _in_grid(costmap: Costmap, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+def regulated_speed(limits: SpeedLimits, room: float, curvature: float, remaining: float) -> float:
+    """The speed [m/s] that clearance `room` [m], curvature [1/m] and remaining path [m] allow."""
+    bend = abs(curvature)
+    v = limits.max_v * min(1.0, max(SLOWEST, room / NEAR_M))
+    v = min(v, math.sqrt(2.0 * BRAKING * limits.max_dv * remaining))
+    return min(v, math.sqrt(MAX_LATERAL / bend), limits.max_w / bend) if bend > 0.0 else v
+
+
+def turning_speed(limits: SpeedLimits, error: float) -> float:
+    """Speed of a turn on the spot [rad/s]: fast at a distance, and slow enough to stop at the goal."""
+    return math.copysign(min(limits.max_w, 2.0 * GAIN * abs(error)), error)
+
+
+def grid_pose(costmap: Costmap, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+    """A pose in the map frame as one in the frame of the grid."""
     tx, ty, tyaw = costmap.T_grid_map.xyt.tolist()
     cos, sin = math.cos(tyaw), math.sin(tyaw)
     return tx + cos * x - sin * y, ty + sin * x + cos * y, yaw + tyaw

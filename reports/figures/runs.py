@@ -13,6 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.offsetbox import AnchoredText
+from matplotlib.path import Path
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
@@ -30,6 +31,8 @@ ENDS = {
     "rejected": (BAD, "h", "rejected"),
     "collided": (BAD, "P", "collided"),
 }
+ARROW = Path([(-1.0, 0.12), (0.3, 0.12), (0.3, 0.5), (1.0, 0.0), (0.3, -0.5), (0.3, -0.12), (-1.0, -0.12)])
+"""A marker of the legend; closed where it is filled."""
 ROOMY_M = 0.5
 """Clearance beyond this is all one colour."""
 
@@ -97,7 +100,7 @@ def _draw_goals(axes: Axes, goals: Sequence[Mapping[str, Any]]) -> set[str]:
     return used
 
 
-def _marker(colour: str, marker: str, label: str) -> Line2D:
+def _marker(colour: str, marker: str | Path, label: str) -> Line2D:
     return Line2D([], [], linestyle="none", marker=marker, color=colour, markersize=8, label=label)
 
 
@@ -111,7 +114,7 @@ def _draw_decisions(axes: Axes, decisions: Decisions, length_m: float) -> list[A
         pose = decisions.T_world_base[number]
         maps.draw_pose(axes, pose @ SE2.from_xyt(0.0, 0.0, side), colour, length_m)
         axes.plot(float(pose.x), float(pose.y), "o", color=colour, markersize=4, zorder=5)
-        handles.setdefault(label, _marker(colour, r"$\rightarrow$", label))
+        handles.setdefault(label, _marker(colour, ARROW, label))
     return list(handles.values())
 
 

@@ -36,6 +36,8 @@ LINES: dict[str, dict[str, Any]] = {
 }
 
 STYLE: dict[Any, Any] = {
+    # A world's name or a campaign's label may have any letters: dollars are no formulas.
+    "text.parse_math": False,
     "font.family": "DejaVu Sans",
     "font.size": 10.0,
     "axes.titlesize": 10.5,

@@ -1,5 +1,7 @@
 """`turtlebag bag`: what the verbs print and how they end."""
 
+from pathlib import Path
+
 import pytest
 from rosbags.highlevel import AnyReader
 
@@ -40,9 +42,7 @@ def test_recover_makes_a_whole_bag_of_an_unfinished_one(drive, tmp_path, capsys)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "options", [["--out", "x.bag"], ["--out", "x"], ["--out", "x", "--storage", "sqlite3"]]
-)
+@pytest.mark.parametrize("options", [["--out", "x"], ["--out", "x", "--storage", "sqlite3"]])
 def test_convert_writes_what_map_reads(drive, tmp_path, monkeypatch, options):
     monkeypatch.chdir(tmp_path)
     assert main(["bag", "convert", str(drive), *options]) == 0
@@ -52,6 +52,18 @@ def test_convert_writes_what_map_reads(drive, tmp_path, monkeypatch, options):
     assert main(["bag", "convert", str(drive), *options]) == 2
     replaced = 2 if options[1].endswith(".bag") else 0  # a ROS 1 bag has no place for our mark
     assert main(["bag", "convert", str(drive), *options, "--force"]) == replaced
+
+
+def test_a_ros1_bag_is_not_written_but_what_writes_it_is_named(drive, tmp_path, capsys):
+    out = tmp_path / "a.bag"
+    assert main(["bag", "convert", str(drive), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"--out {out}: ROS 1 bags are read but not written; use `rosbags-convert --src {drive}" in said
+    words = said.rpartition("`rosbags-convert ")[2].rstrip("`\n").split()
+    command = Path(sys.executable).with_name("rosbags-convert")
+    subprocess.run([command, *words], check=True, capture_output=True)
+    assert load_recording(out).stamps_ns.tolist() == load_recording(drive).stamps_ns.tolist()
 
 
 def test_info_of_a_carmen_log(tmp_path, capsys):

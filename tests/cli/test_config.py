@@ -9,9 +9,9 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.cli.parser import REMOVED
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.stages.parser import REMOVED
 from turtlebag.pipeline.stages.settings import load_config
 
 
@@ -144,7 +144,6 @@ def test_a_removed_key_is_left_out_with_a_note_whatever_it_holds(tmp_path, caplo
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("blame data/records/world", "blame is now called ablate"),
         (
             "navigate --world empty --task avoid --takeover keyboard",
             "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)",
@@ -171,7 +170,11 @@ def test_a_former_command_or_option_names_the_present_one(tmp_path, capsys, word
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("draw data/maps/a", "draw is gone; use report"),
+        (
+            "ablate data/records/world --replace odometry",
+            "ablate is gone; give map or navigate a part that knows the truth, e.g. "
+            "--set front_end=turtlebag.testing:TrueFrontEnd",
+        ),
         (
             "teleop --world empty --ascii=1",
             "teleop: --ascii is gone; use studio (see turtlebag teleop --help)",
@@ -179,7 +182,6 @@ def test_a_former_command_or_option_names_the_present_one(tmp_path, capsys, word
     ],
 )
 def test_a_removed_command_or_option_says_what_to_use(monkeypatch, tmp_path, capsys, words, said):
-    monkeypatch.setitem(REMOVED, "draw", "use report")
     monkeypatch.setitem(REMOVED, "teleop --ascii", "use studio")
     assert main([*words.split(), "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == f"turtlebag: {said}\n"

@@ -22,7 +22,7 @@ from turtlebag.planners.tasks.waypoints import parse_waypoints
 from turtlebag.reports.g2o import read_loops
 from turtlebag.sim.worlds import load_world
 
-TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "ablate": 6}
+TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "truth parts": 6}
 """Variants of a case; the slower ones are fewer."""
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers.bag_samples import write_drive
 from tests.helpers.report_fakes import fake_record
-from turtlebag.datasets.bags.convert import to_ros1_bag
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.pipeline.cli.main import main
 
 
@@ -40,6 +40,13 @@ def test_a_session_is_driven_at_speeds_that_the_page_can_ask_for(tmp_path, capsy
     )
     assert main(["studio", "--replay", str(path), "--out", str(tmp_path / "out")]) == 2
     assert f"session.yaml: input 1: {speed[0]}: must be" in capsys.readouterr().err
+
+
+def test_a_world_may_be_called_anything(tmp_path):
+    path = tmp_path / "a.yaml"
+    ball = "kind: cylinder, center: [2, 0], radius: 0.1, z: [0, 1]"
+    path.write_text(f'name: "$\\\\frac{{$ <b> \\e[2J"\nspawn: [0, 0, 0]\nshapes: [{{{ball}}}]\n')
+    assert main(["world", "show", str(path), "--out", str(tmp_path / "a.png")]) == 0
 
 
 @pytest.mark.slow

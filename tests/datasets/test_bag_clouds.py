@@ -5,7 +5,7 @@ import pytest
 
 from tests.helpers.bag_samples import LINKS, observation, pose, stamp, write_drive
 from tests.helpers.foreign_bags import CLOUD, FIELD, TYPES, header, write_foreign
-from turtlebag.datasets.bags.convert import to_ros1_bag
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.point_clouds import load_clouds
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError

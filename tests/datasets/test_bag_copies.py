@@ -11,10 +11,10 @@ from turtlebag.datasets.bags.convert import carmen_to_mcap, require_messages
 from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, is_latched
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
-from turtlebag.datasets.bags.message import Message, Topic
 from turtlebag.datasets.bags.point_clouds import decode_cloud, load_clouds
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.bags.topics import Message, Topic
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
@@ -88,7 +88,7 @@ def test_the_clouds_of_a_bag_and_how_many_of_them_are_damaged(tmp_path):
     messages = [("/points", CLOUD, k * S, bad if k in (2, 5, 6) else good) for k in range(8)]
     found = load_clouds(write_foreign(tmp_path / "a", messages))
     assert len(found.stamps_ns) == len(list(found.clouds)) == 5
-    assert "3 damaged messages skipped" in found.notes
+    assert "/points: 3 of 8 messages cannot be decoded; skipped" in found.notes
     assert not found.mounted
     two = [*messages, ("/other", CLOUD, 9 * S, good)]
     path = write_foreign(tmp_path / "b", two)

@@ -6,11 +6,26 @@ import numpy as np
 import pytest
 
 from tests.helpers.bag_samples import write_drive
-from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
+from tests.helpers.foreign_bags import (
+    CLOUD,
+    ODOMETRY,
+    SCAN,
+    STORE,
+    TF,
+    TYPES,
+    header,
+    laser_scan,
+    odometry,
+    tf,
+    transform,
+    write_foreign,
+)
+from turtlebag.datasets.bags import cdr
 from turtlebag.datasets.bags.cdr import transforms
 from turtlebag.datasets.bags.doctor import examine
 from turtlebag.datasets.bags.folder import BagFolder
-from turtlebag.datasets.bags.topics import TOPICS, definition, metadata_text
+from turtlebag.datasets.bags.topics import IMU, Publisher, definition, full_type, metadata_text
+from turtlebag.datasets.types import Imu
 from turtlebag.pipeline.cli.main import main
 
 LASER = ("base_footprint", "base_scan", (0.0, 0.0, 0.2), (0, 0, 0, 1))
@@ -37,7 +52,7 @@ def drive(change=lambda k, topic, message: message, static=LASER, steps=60):
 
 
 def checks(tmp_path, messages):
-    return {finding.check: finding for finding in examine(write_foreign(tmp_path / "bag", messages))}
+    return {finding.kind: finding for finding in examine(write_foreign(tmp_path / "bag", messages))}
 
 
 def only(topic, edit):
@@ -81,11 +96,11 @@ DEFECTS = {
     ),
     "range limits": (only("/scan", lambda k, m: spoiled_scan(k, m, range_max=0.0)), "0.12..0 m"),
     "beam angles": (only("/scan", lambda k, m: spoiled_scan(k, m, angle_increment=1e-30)), "1e-30 rad apart"),
-    "sweep time": (only("/scan", lambda k, m: spoiled_scan(k, m, time_increment=0.01)), "3.590 s"),
-    "no scans": (only("/scan", lambda k, m: None), "no LaserScan"),
+    "sweep time": (only("/scan", lambda k, m: spoiled_scan(k, m, time_increment=0.01)), "3.600 s"),
+    "no scans": (only("/scan", lambda k, m: None), "no /scan (sensor_msgs/LaserScan)"),
     "bad quaternions": (
         only("/tf", lambda k, m: tf(transform(k * 10**8, "odom", "base_footprint", (0, 0, 0), (0, 0, 0, 0)))),
-        "/tf: 60",
+        "/tf: 60 quaternions are zero",
     ),
     "two parents": (
         only(
@@ -123,20 +138,101 @@ def test_varying_sizes(tmp_path):
 def test_frames(tmp_path):
     assert "no static transforms" in checks(tmp_path, drive(static=None))
     found = checks(tmp_path / "b", drive(static=("base_footprint", "laser", (0, 0, 0), (0, 0, 0, 1))))
-    assert "'base_scan' is not connected to 'base_footprint'" in found["frames do not connect"].what
+    assert "/scan: no fixed transform base_footprint -> base_scan" in found["frames do not connect"].what
 
 
 def test_no_odometry(tmp_path):
     assert "no odometry" in checks(tmp_path, drive(lambda k, t, m: m if t == "/scan" else None))
 
 
-def test_a_latched_topic_recorded_as_volatile(tmp_path):
+@pytest.mark.parametrize(
+    ("topic", "durability", "volatile"),
+    [
+        ("/tf_static", "volatile", True),
+        ("/tf_static", "transient_local", False),
+        ("/tf", "volatile", False),
+        ("/tf_static", None, False),
+    ],
+)
+def test_a_latched_topic_recorded_as_volatile(tmp_path, topic, durability, volatile):
     with BagFolder(tmp_path / "bag", custom={}) as bag:
         text, type_hash = definition(TF)
-        qos = metadata_text(TOPICS["/tf"].qos())
-        channel = bag.add_topic("/tf_static", TF, text, qos=qos, type_hash=type_hash)
+        qos = "" if durability is None else metadata_text(Publisher(TF, durability=durability).qos())
+        channel = bag.add_topic(topic, TF, text, qos=qos, type_hash=type_hash)
         bag.write(channel, 0, transforms(0, [("a", "b", (0.0, 0.0, 0.0), 0.0)]))
-    assert "quality of service" in {finding.check for finding in examine(tmp_path / "bag")}
+    found = [finding.what for finding in examine(tmp_path / "bag") if finding.kind == "quality of service"]
+    assert found == [f"{topic}: was recorded as volatile"] * volatile
+
+
+def imu(k, lag_s=0.0):
+    stamp = k * 10**8 + round(lag_s * 1e9)
+    data = cdr.imu("imu_link", Imu(stamp, np.zeros(3), np.zeros(3)), np.zeros(9), np.zeros(9))
+    return "/imu", IMU, k * 10**8, STORE.deserialize_cdr(data, IMU)
+
+
+@pytest.mark.parametrize(("lag_s", "other"), [(1.0, False), (1.01, True), (-1.01, True)])
+def test_a_clock_is_another_when_it_is_a_second_off_the_others(tmp_path, lag_s, other):
+    messages = [*drive(), *[imu(k, -lag_s) for k in range(60)]]
+    found = [f.what for f in examine(write_foreign(tmp_path / "bag", messages)) if f.kind == "mixed clocks"]
+    assert found == ["/imu: its stamps are 1.0 s off those of the other topics"] * other
+
+
+def paused(k):
+    """Steps of a drive that pauses for 2 s."""
+    return k if k < 20 else k + 20
+
+
+def test_gaps_are_named_of_sensors_and_of_links_that_move(tmp_path):
+    messages = drive(lambda k, topic, m: None if topic == "/tf" and 20 < k < 40 else m)
+    messages += [imu(paused(k)) for k in range(60)]
+    for k in range(60):
+        time = paused(k) * 10**8
+        for link in (("map", "odom", (0.1 * k, 0, 0)), ("base_footprint", "arm", (0.0, 0.0, 0.1))):
+            messages.append(("/tf", TF, time, tf(transform(time, *link, (0, 0, 0, 1)))))
+    found = examine(write_foreign(tmp_path / "bag", messages))
+    gaps = {f.topic for f in found if f.kind == "gaps" and "the longest 2." in f.detail}
+    assert gaps == {"/imu", "/tf: odom -> base_footprint"}
+
+
+def test_links_that_go_back_in_time_are_named(tmp_path):
+    def back(k, message):
+        time = (k - 5 if k == 30 else k) * 10**8
+        return tf(transform(time, "odom", "base_footprint", (0.1 * k, 0, 0), (0, 0, 0, 1)))
+
+    found = examine(write_foreign(tmp_path / "bag", drive(only("/tf", back))))
+    (finding,) = (f for f in found if f.severity == "error")
+    assert finding.what == "/tf: odom -> base_footprint: stamps go back 1 time, by up to 0.400 s"
+
+
+def test_odometry_of_no_tree_is_named_but_not_the_truth(tmp_path):
+    messages = drive()
+    for k in range(60):
+        messages.append(("/ground_truth/odom", ODOMETRY, k * 10**8, odometry(k * 10**8, 0.0, child="other")))
+        messages.append(("/wheels", ODOMETRY, k * 10**8, odometry(k * 10**8, 100.0 * k, child="lost")))
+    found = {(f.kind, f.what) for f in examine(write_foreign(tmp_path / "bag", messages))}
+    assert found == {
+        ("frames do not connect", "/wheels: its child frame 'lost' is not in /tf"),
+        ("millimetres", "/wheels: the robot would be implausibly fast"),
+    }
+
+
+def test_transforms_in_millimetres_are_named_where_odometry_has_a_topic_too(tmp_path):
+    def far(k, message):
+        link = transform(k * 10**8, "odom", "base_footprint", (100.0 * k, 0, 0), (0, 0, 0, 1))
+        return tf(link)
+
+    found = examine(write_foreign(tmp_path / "bag", drive(only("/tf", far))))
+    what = "/tf: odom -> base_footprint: the robot would be implausibly fast"
+    assert [(f.kind, f.what) for f in found] == [("millimetres", what)]
+
+
+def test_a_bag_of_clouds_alone_has_scans_enough(tmp_path):
+    empty = TYPES[CLOUD](header(0, "a"), 1, 0, [], False, 0, 0, np.zeros(0, dtype=np.uint8), True)
+    assert examine(write_foreign(tmp_path / "bag", [("/points", CLOUD, 0, empty)])) == []
+
+
+def test_a_type_name_gets_the_middle_part_that_ros_1_leaves_out():
+    assert [full_type(t) for t in ("a/B", "a/msg/B", "B")] == ["a/msg/B", "a/msg/B", "B"]
 
 
 def test_unfinished_and_damaged_files(tmp_path):
@@ -145,7 +241,7 @@ def test_unfinished_and_damaged_files(tmp_path):
     (folder / "metadata.yaml").unlink()
     content = (folder / "bag_0.mcap").read_bytes()
     (folder / "bag_0.mcap").write_bytes(content[:-2000])
-    assert [f.check for f in examine(folder)] == ["missing metadata", "damaged file"]
+    assert [f.kind for f in examine(folder)] == ["missing metadata", "damaged file"]
 
 
 def test_the_command_lists_what_and_why_and_fails_on_errors(tmp_path, capsys):

@@ -8,7 +8,7 @@ import pytest
 import zstandard
 
 from turtlebag.datasets.bags.mcap_sequential import McapReader
-from turtlebag.datasets.bags.message import Topic
+from turtlebag.datasets.bags.topics import Topic
 from turtlebag.datasets.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"

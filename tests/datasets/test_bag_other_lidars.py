@@ -37,8 +37,8 @@ def test_the_type_and_the_way_out_are_one_line(tmp_path, capsys, topic, msgtype,
         assert said.count("\n") == 1
         assert says in said
         assert f"record the sensor_msgs/{made} that it publishes" in said
-    (finding,) = (finding for finding in examine(bag) if finding.check == "no scans")
-    assert says in finding.what
+    (finding,) = (finding for finding in examine(bag) if finding.kind == "no scans")
+    assert says in finding.remedy
 
 
 @pytest.mark.parametrize("read", [load_recording, load_clouds])

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.helpers.foreign_bags import (
     ARRAY,
@@ -21,8 +22,7 @@ from tests.helpers.foreign_bags import (
     write_foreign,
 )
 from turtlebag.datasets.bags import cdr
-from turtlebag.datasets.bags.decode import RawScan
-from turtlebag.datasets.bags.mapping_input import _of_one_laser, _planar, read_for_mapping
+from turtlebag.datasets.bags.mapping_input import read_for_mapping
 from turtlebag.datasets.bags.reader import (
     BagInfo,
     TopicInfo,
@@ -78,39 +78,32 @@ def test_single_streams_are_read_and_missing_ones_named(tmp_path):
         read_poses(path, "/x")
 
 
-def raw(frame, stamp=0):
-    return RawScan(stamp, frame, (0.0,) * 7, np.zeros(3, np.float32))
-
-
-def test_of_several_lasers_the_most_frequent_is_used():
-    notes = []
-    found = list(enumerate([raw("a"), raw("b", 1), raw("a"), raw("b", 2), raw("b", 3)], start=5))
-    scans, times = _of_one_laser("/scan", found, notes)
-    assert [s.stamp_ns for s in scans] == [1, 2, 3]
-    assert times.tolist() == [6, 8, 9]
-    assert notes == ["/scan: scans of several lasers; 3 of 'b' used, 2 of 'a' left out"]
-    notes.clear()
-    assert len(_of_one_laser("/scan", [(1, raw("a")), (2, raw("a"))], notes)[0]) == 2
-    assert notes == []
+def test_of_several_lasers_the_most_frequent_is_used(tmp_path):
+    frames = ["a", "b", "a", "b", "b"]
+    scans = [("/scan", SCAN, (5 + k) * S, laser_scan(k * S, np.ones(3), f)) for k, f in enumerate(frames)]
+    found = read_for_mapping(open_bag(write_foreign(tmp_path / "a", scans)))
+    assert found.stamps_ns.tolist() == [S, 3 * S, 4 * S]
+    (mixed,) = (finding for finding in found.findings if finding.kind == "mixed frames")
+    assert str(mixed) == "/scan: messages of 2 frames: 'b' (3), 'a' (2); the most frequent is used"
+    assert mixed.count == 2
 
 
 @pytest.mark.parametrize(
-    ("roll", "tilt", "notes"), [(0.0, 0.19, 0), (0.0, 0.21, 1), (math.pi, 0.0, 1), (math.pi, 0.3, 2)]
+    ("roll", "tilt", "lines"), [(0.0, 0.19, 0), (0.0, 0.21, 1), (math.pi, 0.0, 1), (math.pi, 0.3, 2)]
 )
-def test_a_laser_is_planar_tilted_or_upside_down(roll, tilt, notes):
-    c, s = math.cos(0.7), math.sin(0.7)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    a = roll + tilt
-    lean = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(a), -math.sin(a)], [0.0, math.sin(a), math.cos(a)]])
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = turn @ lean, (1.0, 2.0, 3.0)
-    said = []
-    found, over = _planar(T, said)
-    np.testing.assert_allclose(found.xyt, [1.0, 2.0, 0.7])
-    assert over == (roll > 0.0)
-    assert len(said) == notes
+def test_a_laser_is_planar_tilted_or_upside_down(tmp_path, roll, tilt, lines):
+    turned = Rotation.from_euler("ZX", [0.7, roll + tilt]).as_quat()
+    messages = [("/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan", (1, 2, 3), turned)))]
+    messages += [("/scan", SCAN, k * S, laser_scan(k * S, np.ones(3))) for k in range(2)]
+    found = read_for_mapping(open_bag(write_foreign(tmp_path / "bag", messages)))
+    np.testing.assert_allclose(found.T_base_lidar.xyt, [1.0, 2.0, 0.7], atol=1e-7)
+    assert (found.lidar.angle_increment < 0.0) == (roll > 0.0)
+    said = [str(finding) for finding in found.findings if finding.kind == "mounting"]
+    assert len(said) == lines
     if tilt > 0.2:
         assert f"tilted by {math.degrees(tilt):.0f} degrees" in said[0]
+    if roll:
+        assert said[-1] == "/scan: the laser is mounted upside down; its scans were flipped"
 
 
 def test_a_recording_has_its_scans_odometry_and_laser_or_a_line_that_says_why_not(tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 
 from tests.helpers.bag_samples import write_drive
-from turtlebag.datasets.bags.convert import to_ros1_bag
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.doctor import examine
 from turtlebag.datasets.bags.mcap_sequential import McapReader
 from turtlebag.datasets.bags.reader import bag_info
@@ -49,6 +49,10 @@ def compressed(plain, path, compression):
 FORMATS = [None, *Writer.CompressionFormat]
 
 
+def test_the_doctor_finds_nothing_wrong_with_a_good_one(plain):
+    assert examine(plain) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", FORMATS)
 def test_the_same_messages_as_rosbags_reads(plain, tmp_path, compression):
@@ -71,7 +75,7 @@ def test_a_cut_bag_gives_what_is_there_and_says_so(plain, tmp_path):
         assert len(got) > (share - 0.1) * len(whole)
         assert "b.bag: damaged at byte" in bag.notes[0]
     assert load_recording(path).ranges.shape[1] == 360
-    assert "damaged file" in {finding.check for finding in examine(path)}
+    assert "damaged file" in {finding.kind for finding in examine(path)}
 
 
 @pytest.mark.slow
@@ -134,6 +138,12 @@ def test_an_old_version_is_named_with_what_converts_it(tmp_path, read, first_lin
     path.write_bytes(first_line.encode() + b"\n" + bytes(100))
     with pytest.raises(InputError, match=r"old\.bag: " + says):
         read(path)
+
+
+def test_an_old_version_in_a_folder_is_named_too(tmp_path):
+    (tmp_path / "old.bag").write_bytes(b"#ROSRECORD V1.2\n" + bytes(100))
+    with pytest.raises(InputError, match=r"old\.bag: a ROS 1 bag of version 1\.2"):
+        load_recording(tmp_path)
 
 
 @pytest.mark.parametrize("scan", [Ros1Reader, McapReader])

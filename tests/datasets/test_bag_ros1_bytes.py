@@ -6,8 +6,8 @@ import struct
 import lz4.frame
 import pytest
 
-from turtlebag.datasets.bags.message import Topic
 from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
+from turtlebag.datasets.bags.topics import Topic
 from turtlebag.datasets.errors import InputError
 
 

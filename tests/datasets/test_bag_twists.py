@@ -21,7 +21,7 @@ from turtlebag.datasets.recordings import load_recording
 STEP = 50_000_000
 TIMES = np.arange(200) * STEP
 V, W = 0.3, 0.4
-NOTE = "/odom: the pose never changes but the twist does: the path is integrated from the twist"
+NOTE = "/odom: the pose never changes but the twist does; the path is integrated from the twist"
 
 
 def unfilled(k, v=V, w=W, x=0.0, quaternion=None):

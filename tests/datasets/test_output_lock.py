@@ -101,7 +101,8 @@ def test_what_is_in_the_way_of_the_growing_output_is_refused_and_kept(tmp_path, 
 
 
 def test_an_empty_folder_and_an_output_of_ours_are_replaced_and_neighbours_kept(tmp_path):
-    ours(tmp_path / "ours", old="old")
+    ours(tmp_path / "ours/cases/a", old="old")  # as a campaign keeps them
+    write_manifest(tmp_path / "ours", stage="sweep", command=[], inputs={}, seed=None, wall_s=0.0)
     (tmp_path / "empty").mkdir()
     for name in ("ours", "empty"):
         folder_with("thesis.tex", "years")(tmp_path / f"{name}.old")
@@ -112,33 +113,34 @@ def test_an_empty_folder_and_an_output_of_ours_are_replaced_and_neighbours_kept(
     assert (tmp_path / "ours.old" / "thesis.tex").exists()
 
 
-def edited(folder):
-    (folder / "map.yaml").write_text("free_thresh: 0.3\n")
-
-
 def linked(folder):
     (folder / "map.yaml").unlink()
     (folder / "map.yaml").symlink_to("truth/map.yaml")
 
 
-STRANGERS = {
-    "notes.txt was not written by turtlebag": lambda out: (out / "notes.txt").write_text("years"),
-    "truth/notes.txt was not written by turtlebag": lambda out: (out / "truth/notes.txt").write_text("years"),
-    "map.yaml was changed since turtlebag wrote it": edited,
-    "mine/ is another output": lambda out: ours(out / "mine", a="a"),
-    "a is a link": lambda out: (out / "a").symlink_to("map.yaml"),
-    "map.yaml is a link": linked,
-    "pipe was not written by turtlebag": lambda out: os.mkfifo(out / "pipe"),
-    "aside was not written by turtlebag (and 1 more)": lambda out: [
-        (out / name).write_text("years") for name in ("aside", "notes.txt")
-    ],
-}
+STRANGERS = [
+    ("notes.txt is not part of this output", lambda out: (out / "notes.txt").write_text("years")),
+    ("truth/notes.txt is not part of this output", lambda out: (out / "truth/notes.txt").write_text("years")),
+    ("mine/a is not part of this output", lambda out: ours(out / "mine", a="a")),
+    ("a is not part of this output", lambda out: (out / "a").symlink_to("map.yaml")),
+    ("a is not part of this output", lambda out: (out / "a").symlink_to("truth")),
+    ("pipe is not part of this output", lambda out: os.mkfifo(out / "pipe")),
+    (
+        "a is not part of this output (and 1 more)",
+        lambda out: [(out / name).write_text("years") for name in ("a", "b")],
+    ),
+    (
+        "map.yaml was changed since turtlebag wrote it",
+        lambda out: (out / "map.yaml").write_text("free_thresh: 0.3\n"),
+    ),
+    ("map.yaml was changed since turtlebag wrote it", linked),
+]
 
 
-@pytest.mark.parametrize("said", STRANGERS)
-def test_what_somebody_put_into_an_output_or_edited_there_is_refused_by_name(tmp_path, said):
+@pytest.mark.parametrize(("said", "put"), STRANGERS)
+def test_what_somebody_put_into_an_output_or_edited_there_is_refused_by_name(tmp_path, said, put):
     out = ours(tmp_path / "out", **{"map.yaml": "free_thresh: 0.196\n", "truth/map.yaml": "a"})
-    STRANGERS[said](out)
+    put(out)
     before = state(tmp_path)
     with pytest.raises(InputError) as error, staged_output(out, force=True):
         pass
@@ -148,7 +150,7 @@ def test_what_somebody_put_into_an_output_or_edited_there_is_refused_by_name(tmp
 
 def test_what_appears_in_an_output_while_it_is_replaced_is_kept_there_and_the_result_too(tmp_path):
     out = ours(tmp_path / "out", old="old")
-    with pytest.raises(InputError, match=r"notes\.txt was not .* kept in .*out\.partial"):
+    with pytest.raises(InputError, match=r"notes\.txt is not part .* kept in .*out\.partial"):
         write(out, [], lambda: (out / "notes.txt").write_text("years"), force=True)
     assert {path.name for path in out.iterdir()} == {"old", "notes.txt", "manifest.json"}
     assert [path.name for path in (tmp_path / "out.partial").iterdir()] == ["a"]
@@ -208,7 +210,6 @@ READERS = {
     "localise": ("localise", "IN", "--map", "x"),
     "report": ("report", "x", "IN"),
     "compare": ("compare", "x", "IN"),
-    "ablate": ("ablate", "IN"),
     "convert": ("bag", "convert", "IN"),
     "recover": ("bag", "recover", "IN"),
     "record": ("record", "--world", "empty", "--teleop", "IN"),

@@ -15,9 +15,9 @@ FULL_TURN = 2.0 * math.pi
     ("sizes", "changes", "note"),
     [
         ((360, 359, 360), {}, "another geometry"),
-        ((360,), {"angle_max": FULL_TURN}, "361 beams"),
+        ((360,), {"angle_max": FULL_TURN}, "imply 361"),
         ((360,), {"angle_max": FULL_TURN, "angle_increment": FULL_TURN / 359}, ""),
-        ((360,), {"angle_increment": 0.0}, ""),
+        ((360,), {"angle_increment": 0.0}, "angle_increment is 0"),
     ],
 )
 def test_fence_posts(tmp_path, sizes, changes, note):

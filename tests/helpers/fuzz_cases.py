@@ -298,15 +298,15 @@ def _session(rng, chain, scratch):
     return ["map", "-q", chain / "record", f"--laser={','.join(rng.choices(POSES, k=3))}"]
 
 
-def _ablate(rng, chain, scratch):
+def _truth_parts(rng, chain, scratch):
     _copy(chain, scratch, "record")
-    files = ["bag/bag_0.mcap", "truth/trajectory.tum", "truth/map.yaml", "config.yaml", "manifest.json"]
+    files = ["bag/bag_0.mcap", "truth/trajectory.tum", "truth/map.yaml"]
     if rng.random() < 0.8:
         broken(rng, scratch / "record" / rng.choice(files))
-    parts = rng.choice(
-        ["none", "odometry,deskew", "front_end", "loops", "poses", "localisation", "luck", ",", ""]
-    )
-    return ["ablate", "-q", scratch / "record", "--replace", parts]
+    part = rng.choice(["front_end", "loops.match", "back_end"])
+    name = rng.choice(["TrueFrontEnd", "TrueLoops", "TrueLocaliser", "Luck"])
+    truth = rng.choice([[], [f"--truth={scratch / 'record'}"]])
+    return ["map", "-q", scratch / "record", *truth, "--set", f"{part}=turtlebag.testing:{name}"]
 
 
 def _stage_folder(rng, chain, scratch):
@@ -375,7 +375,7 @@ CASES = {
     "plan": _plan,
     "clutter": _clutter,
     "sessions and laser": _session,
-    "ablate": _ablate,
+    "truth parts": _truth_parts,
     "teleop override": lambda *a: _navigate(
         a[1], "avoid", f"--teleop-override={_file(*a, 'taken.yaml')}", "--duration=2"
     ),

@@ -191,7 +191,7 @@ def test_the_cloud_is_resampled_at_its_interval_only(room, log, interval, resamp
     amcl = make(room, resample_interval=interval, selective_resampling=False)
     amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
     errors(amcl, log[:20])
-    assert (np.ptp(amcl._cloud.weights) < 1e-12) == resampled
+    assert (np.ptp(amcl.cloud.weights) < 1e-12) == resampled
     # what is not resampled keeps the particles it was begun with, each once
     assert (amcl.size == amcl.config.max_particles) == (not resampled)
 

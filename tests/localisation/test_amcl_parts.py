@@ -1,21 +1,24 @@
 """The filter's decisions one by one, by their formulas: shares, pauses, averages, resampling, searches."""
 
-import copy
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import LIDAR
-from tests.localisation.filter_room import PLACE, beams_at, made, scan_at
-from turtlebag.datasets.errors import InputError
+from tests.helpers.localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR
+from tests.localisation.filter_room import GRID, PLACE, beams_at, made, scan_at
 from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import lost_detection, resampling
-from turtlebag.pipeline.localisation.estimate import Estimate
-from turtlebag.pipeline.localisation.localiser import require_estimate
+from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.estimate import narrow
+from turtlebag.pipeline.localisation.likelihood_field import LikelihoodField
 from turtlebag.pipeline.localisation.lost_detection import AgreementWatch
 from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.resampling import Cloud
+
+BLIND = Scan(0, np.full(360, np.nan, dtype=np.float32), STILL_LIDAR)
+"""A scan that says nothing: what is left is what odometry and the start said."""
 
 
 def test_the_limits_of_the_ranges_are_the_lidars_or_narrower():
@@ -37,15 +40,15 @@ def test_a_cloud_is_drawn_about_the_pose_it_was_told():
     np.testing.assert_allclose(np.cov(off.T), np.diag([0.04, 0.09, 0.01]), atol=0.002)
     assert np.abs(filter_.particles.yaw).max() <= math.pi
     np.testing.assert_allclose(filter_.T_map_base(odometry).xyt, told.xyt, atol=1e-12)
-    np.testing.assert_allclose(filter_._cloud.weights, 1.0 / 20000)
+    np.testing.assert_allclose(filter_.cloud.weights, 1.0 / 20000)
     assert (filter_.size, filter_.initialised, filter_.converged, filter_.lost) == (20000, True, False, True)
     given = np.array([[0.01, 0.005, 0.0], [0.005, 0.01, 0.0], [0.0, 0.0, 0.0]])
     filter_.initialise(told, given)
     np.testing.assert_allclose(np.cov((filter_.particles.xyt - told.xyt).T), given, atol=5e-4)
     with pytest.raises(ValueError, match="no pose yet"):
         _ = filter_.covariance
-    filter_._at.estimate = Estimate(told, np.eye(3), 2.0 * np.eye(3))
-    np.testing.assert_array_equal(filter_.covariance, 2.0 * np.eye(3))
+    filter_.update(BLIND, odometry)
+    np.testing.assert_allclose(filter_.covariance, np.cov((filter_.particles.xyt - told.xyt).T), atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -59,8 +62,13 @@ def test_a_cloud_is_drawn_about_the_pose_it_was_told():
     ],
 )
 def test_a_cloud_has_converged_when_it_is_narrow_in_place_and_heading(std, converged):
-    filter_ = made()
-    filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.diag(np.square(std)))
+    assert narrow(np.diag(np.square(std))) == converged
+    filter_ = made(max_particles=20000, update_min_d=0.0)
+    # By more than a cloud of so many differs from what it is drawn from.
+    filter_.initialise(PLACE, np.diag(np.square(np.array(std) * (0.97 if converged else 1.03))))
+    assert not filter_.converged
+    filter_.update(BLIND, SE2.identity())
+    filter_.watch.fast = filter_.watch.slow
     assert filter_.converged == converged
     assert filter_.lost == (not converged)
     filter_.watch.fast = 0.5 * filter_.watch.slow
@@ -114,7 +122,10 @@ def test_searches_come_at_intervals_while_scans_agree_less_than_they_once_did():
     # faded, not lost: a look now and then
     again = made()
     again.watch.slow, again.watch.fast, again.watch.best = 0.8, 0.71, 0.8
-    looked = [u for u in range(60) if (setattr(again.watch, "updates", u), again.watch.search_share())[1]]
+    looked = []
+    for again.watch.updates in range(60):
+        if again.watch.search_share():
+            looked.append(again.watch.updates)
     assert looked == [0, 32]
     again.watch.fast = 0.721
     again.watch.updates = 500
@@ -122,89 +133,77 @@ def test_searches_come_at_intervals_while_scans_agree_less_than_they_once_did():
 
 
 def test_the_robot_has_moved_enough_by_its_way_or_by_its_turn():
-    filter_ = made(update_min_d=0.2, update_min_a=0.3)
-    still = SE2.identity()
-    assert filter_._moved_enough(still)
-    filter_.watch.updates = 1
-    assert filter_._moved_enough(None)
     for xyt, moved in (
-        ((0.12, 0.16, 0.0), True), ((0.12, 0.15, 0.29), False), ((0.0, 0.0, 0.3), True),
+        ((0.12, 0.16, 0.0), True), ((0.12, 0.15, 0.29), False), ((0.0, 0.0, 0.301), True),
         ((0.0, 0.0, -0.31), True), ((-0.2, 0.0, 0.0), True), ((0.0, -0.19, -0.29), False),
     ):  # fmt: skip
-        assert filter_._moved_enough(SE2(np.array(xyt))) == moved
+        filter_ = made(update_min_d=0.2, update_min_a=0.3, max_particles=20, min_particles=10)
+        filter_.initialise(PLACE)
+        assert filter_.update(BLIND, SE2.identity())  # the first scan always
+        assert filter_.update(BLIND, SE2(np.array(xyt))) == moved
 
 
 def test_weights_are_multiplied_by_the_sensors_while_it_agrees_and_by_the_paths_while_lost():
-    filter_ = made(max_particles=200, min_particles=10)
+    filter_ = made(max_particles=200, min_particles=10, resample_interval=99)
     filter_.initialise(PLACE, np.diag([1e-3, 1e-3, 1e-3]))
-    beams = beams_at(PLACE)
-    before = np.random.default_rng(2).random(200)
-    for lost in (True, False):
-        filter_._cloud.weights = before / before.sum()
-        if not lost:
-            filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.zeros((3, 3)))
+    sensor = LikelihoodField(filter_.config, filter_.search.field, filter_.search.range_max)
+    beams, before = beams_at(PLACE), np.random.default_rng(2).random(200)
+    for k, lost in enumerate((True, False)):
+        filter_.cloud = Cloud(filter_.cloud.poses, before / before.sum())
         assert filter_.lost == lost
-        source = filter_.search.log_likelihood if lost else filter_._sensor.weigh
+        filter_.update(scan_at(PLACE), SE2.from_xyt(0.0, 0.0, 0.1 * k))
+        source = filter_.search.log_likelihood if lost else sensor.weigh
         expected = np.log(before) + source(filter_.particles.xyt, beams)
         expected = np.exp(expected - expected.max())
-        filter_._weigh(beams)
-        np.testing.assert_allclose(filter_._cloud.weights, expected / expected.sum(), rtol=1e-9)
+        np.testing.assert_allclose(filter_.cloud.weights, expected / expected.sum(), rtol=1e-9)
 
 
 def test_resampling_waits_for_its_interval_and_for_weights_that_differ():
-    beams = beams_at(PLACE)
-    for updates, effective, interval, resampled in (
-        (1, 0.1, 2, True), (0, 0.1, 2, False), (1, 0.9, 2, False), (3, 0.49, 4, True), (3, 0.51, 4, False),
+    for update, effective, interval, due in (
+        (2, 0.1, 2, True), (1, 0.1, 2, False), (2, 0.9, 2, False), (4, 0.49, 4, True), (4, 0.51, 4, False),
     ):  # fmt: skip
-        filter_ = made(
+        config = AmclConfig(
             max_particles=400, min_particles=50, resample_interval=interval, selective_resampling=True
         )
-        filter_.initialise(PLACE, np.diag([1e-3, 1e-3, 1e-3]))
-        filter_.watch.updates = updates
         weights = np.zeros(400)
-        weights[: round(400 * effective)] = 1.0
-        filter_._cloud.weights = weights / weights.sum()
-        heavy = filter_.particles.xyt[: round(400 * effective)]
-        filter_._resample(beams)
-        assert (np.ptp(filter_._cloud.weights) == 0.0) == resampled
-        if resampled:
-            kept = {tuple(p) for p in filter_.particles.xyt}
-            assert kept <= {tuple(p) for p in heavy}
-            assert 50 <= filter_.size <= 400
-            assert filter_._cloud.weights.sum() == pytest.approx(1.0)
+        heavy = round(400 * effective)
+        weights[:heavy] = 1.0 / heavy
+        poses = np.random.default_rng(4).normal(0.0, 0.03, (400, 3))
+        cloud = Cloud(poses, weights)
+        assert cloud.due(config, update) == due
+        assert cloud.due(config.model_copy(update={"selective_resampling": False}), update) == (
+            update % interval == 0
+        )
+        drawn = cloud.resampled(config, np.random.default_rng(5))
+        assert {tuple(p) for p in drawn.poses} <= {tuple(p) for p in poses[:heavy]}
+        assert 50 <= len(drawn.poses) <= 400
+        np.testing.assert_allclose(drawn.weights, 1.0 / len(drawn.poses))
 
 
 def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
-    filter_ = made(max_particles=900, min_particles=60, kld_err=0.08, kld_z=1.5)
-    filter_.initialise(PLACE, np.diag([0.02, 0.02, 0.02]))
-    filter_._cloud.weights = np.random.default_rng(8).random(900) ** 6
-    filter_._cloud.weights /= filter_._cloud.weights.sum()
-    filter_.watch.updates = filter_.config.resample_interval - 1
-    poses, weights, rng = filter_.particles.xyt, filter_._cloud.weights, copy.deepcopy(filter_._rng)
+    config = AmclConfig(max_particles=900, min_particles=60, kld_err=0.08, kld_z=1.5)
+    weights = np.random.default_rng(8).random(900) ** 6
+    weights /= weights.sum()
+    poses, rng = np.random.default_rng(9).normal(0.0, 0.14, (900, 3)), np.random.default_rng(10)
+    found = Cloud(poses, weights).resampled(config, np.random.default_rng(10))
     drawn = poses[rng.permutation(resampling.low_variance(weights, 900, rng.random()))]
     count = resampling.kld_count(
         resampling.bin_numbers(drawn, resampling.BIN_M, resampling.BIN_RAD), 0.08, 1.5, 60
     )
-    filter_._resample(beams_at(PLACE))
-    assert 60 < filter_.size == count < 900
-    np.testing.assert_array_equal(
-        filter_.particles.xyt, poses[resampling.low_variance(weights, count, rng.random())]
-    )
+    assert 60 < len(found.poses) == count < 900
+    np.testing.assert_array_equal(found.poses, poses[resampling.low_variance(weights, count, rng.random())])
 
 
 def test_a_share_of_random_particles_replaces_as_many_particles():
-    filter_ = made(max_particles=1000, min_particles=300)
-    filter_.initialise(PLACE, np.diag([1e-3, 1e-3, 1e-3]))
-    filter_.watch.slow, filter_.watch.fast = 0.8, 0.4
-    elsewhere = np.tile([9.0, 9.0, 0.0], (600, 1))
-    filter_._found = lambda share, beams: elsewhere
-    filter_._resample(beams_at(PLACE))
-    found_there = int(np.sum(filter_.particles.x == 9.0))
-    assert found_there == filter_.size // 2
-    filter_.watch.updates = 100
-    filter_._found = lambda share, beams: None
-    filter_._resample(beams_at(PLACE))
-    assert filter_.size >= 300
+    config = AmclConfig(max_particles=1000, min_particles=300)
+    cloud = Cloud.even(np.random.default_rng(1).normal(0.0, 0.03, (1000, 3)))
+    elsewhere = np.column_stack([np.full(600, 9.0), np.arange(600.0), np.zeros(600)])
+    mixed = cloud.resampled(config, np.random.default_rng(2), elsewhere, 0.5)
+    there = mixed.poses[mixed.poses[:, 0] == 9.0]
+    assert len(there) == len(mixed.poses) // 2
+    np.testing.assert_array_equal(there, elsewhere[: len(there)])  # they come in random order already
+    alone = cloud.resampled(config, np.random.default_rng(2), None, 0.5)
+    assert len(alone.poses) == len(mixed.poses) >= 300
 
 
 class Found:
@@ -213,6 +212,12 @@ class Found:
     def __init__(self, here, near, far):
         self.told = {"here": here, "near": near, "far": far}
         self.asked = []
+
+    def uniform(self, count, rng):
+        return np.tile([5.0, 5.0, 0.0], (count, 1))
+
+    def log_likelihood(self, poses, beams):
+        return np.zeros(len(poses))
 
     def draw(self, count, beams, rng, around=None):
         self.asked.append((count, None if around is None else tuple(np.round(around, 6))))
@@ -231,19 +236,26 @@ class Found:
     ],
 )  # fmt: skip
 def test_a_place_found_must_explain_clearly_more_and_a_far_one_more_still(here, near, far, found):
-    filter_ = made(max_particles=1000)
-    filter_.initialise(SE2.from_xyt(5.0, 5.0, 0.0), None, SE2.from_xyt(1.0, 0.0, 0.0))
+    filter_ = made(max_particles=1000, refine=False)
+    odometry = SE2.from_xyt(1.0, 0.0, 0.0)
+    filter_.initialise(SE2.from_xyt(5.0, 5.0, 0.0), np.zeros((3, 3)), odometry)
     filter_.search = Found(here, near, far)
-    poses = filter_._found(0.25, beams_at(PLACE))
-    assert (None if poses is None else float(poses[0, 0])) == found
-    searches = int(found is not None)
-    assert filter_.searches == searches
+    filter_.watch.slow, filter_.watch.fast = 0.8, 0.6  # a quarter of the particles is searched for
+    filter_.update(scan_at(PLACE), odometry)
+    there = filter_.particles.x[-filter_.size // 4 :]
+    assert np.all(there == (5.0 if found is None else found))
+    assert np.sum(filter_.particles.x == 5.0) == filter_.size - (0 if found is None else filter_.size // 4)
+    assert filter_.searches == int(found is not None)
     assert filter_.search.asked == [(251, (5.0, 5.0, 0.0)), (251, None)]
-    assert poses is None or len(poses) == 251
-    filter_.watch.anywhere = True
-    assert filter_._found(1.0, beams_at(PLACE))[0, 0] == 1.0
-    assert filter_.searches == searches + 1
-    assert filter_.search.asked[-1] == (1001, None)
+
+
+def test_after_a_global_start_whatever_is_found_is_taken():
+    filter_ = made(max_particles=1000, refine=False)
+    filter_.search = Found(0.9, 0.9, 0.9)
+    filter_.initialise_globally()
+    filter_.update(scan_at(PLACE), SE2.identity())
+    assert np.all(filter_.particles.x == 1.0)
+    assert (filter_.searches, filter_.search.asked) == (1, [(1001, None)])
 
 
 def test_a_scan_that_explains_far_less_than_usual_contradicts():
@@ -264,45 +276,34 @@ def test_a_scan_that_explains_far_less_than_usual_contradicts():
 
 
 def test_a_restart_forgets_all_but_the_settings():
-    filter_ = made()
-    filter_.initialise(PLACE, np.diag([1e-3] * 3))
+    """It goes on as one that was just made, with the same random numbers; how far odometry may be trusted
+    is learned for good."""
+    rng = np.random.default_rng(7)
+    again = Amcl(GRID, LIDAR, T_BASE_LIDAR, AmclConfig(), rng)
+    again.initialise(PLACE @ SE2.from_xyt(0.0, 0.0, 1.0), np.diag([1e-3] * 3))
+    for k in (2, 1, 0):  # it ends where the other begins
+        odometry = SE2.from_xyt(0.0, 0.0, 0.5 * k)
+        again.update(scan_at(PLACE @ odometry), odometry)
+    again.watch.slow, again.watch.fast = 0.9, 0.5
+    again.watch.search_share()  # the next search waits from here on
+    rng.bit_generator.state = np.random.default_rng(1).bit_generator.state
+    fresh = made()
+    for one in (again, fresh):
+        one.initialise_globally()
+        assert one.size == one.config.max_particles
+        with pytest.raises(ValueError, match="no pose yet"):
+            _ = one.T_map_odom
+        assert (one.watch.updates, one.watch.slow, one.watch.fast, one.watch.best) == (0, 0.8, 0.0, 0.0)
     for k in range(3):
-        filter_.update(scan_at(PLACE), SE2.from_xyt(0.0, 0.0, 0.5 * k))
-    filter_.watch._next_search, filter_.watch.best = 9, 0.9
-    filter_.initialise_globally()
-    assert (filter_.watch.updates, filter_.watch._next_search, filter_.watch.best) == (0, 0, 0.0)
-    assert (filter_.watch.slow, filter_.watch.fast, filter_._at.estimate, filter_._at.T_map_odom) == (
-        0.8,
-        0.0,
-        None,
-        None,
-    )
-    assert filter_.size == filter_.config.max_particles
-    assert filter_._fine is not None
-    assert filter_._fine._filter is None
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "told"),
-    [
-        ("T_map_odom", SE2.identity(2), "T_map_odom must be an array of shape"),
-        ("covariance", np.full((3, 3), np.nan), "covariance is not finite"),
-        ("lost", None, "lost must be"),
-        ("searches", 0.5, "searches must be"),
-        ("agreement", 1.01, "agreement must be a share 0..1, not 1.01"),
-        ("agreement", -0.01, "agreement must be a share 0..1, not -0.01"),
-        ("particles", SE2.identity(), "particles must be poses"),
-        ("particles", SE2.identity(0), "particles must be poses"),
-    ],
-)
-def test_what_a_localiser_says_after_a_scan_is_checked(name, value, told):
-    said = {
-        "T_map_odom": SE2.identity(), "covariance": np.eye(3), "converged": True, "agrees": True,
-        "lost": False, "searches": 0, "agreement": 1.0 + 1e-9, "particles": SE2.identity(1),
-    }  # fmt: skip
-    require_estimate(SimpleNamespace(**said))
-    with pytest.raises(InputError, match=told):
-        require_estimate(SimpleNamespace(**said | {name: value}))
+        odometry = SE2.from_xyt(0.1 * k, 0.0, 0.5 * k)
+        for one in (again, fresh):
+            one.update(scan_at(PLACE @ odometry), odometry)
+        np.testing.assert_array_equal(again.particles.xyt, fresh.particles.xyt)
+        off = 1e-5 if k else 0.0
+        np.testing.assert_allclose(again.T_map_odom.xyt, fresh.T_map_odom.xyt, rtol=0.0, atol=off)
+    for one in (again, fresh):
+        one.watch.fast = 0.1
+    assert again.watch.search_share() == fresh.watch.search_share() > 0.0
 
 
 def test_a_scan_that_agrees_with_nothing_is_no_division_by_zero_however_fast_the_slow_average():

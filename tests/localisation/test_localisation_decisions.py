@@ -12,9 +12,11 @@ from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import fine_pose
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.localisation.estimate import Estimate
-from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
+from turtlebag.pipeline.localisation.fine_pose import FinePose, agree, next_share
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, tempered
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, Keyframe, PoseHypotheses, apart, within
+from turtlebag.pipeline.localisation.surfaces import fit_surfaces
+from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
 
 def test_places_are_apart_by_more_than_a_metre_or_a_radian():
@@ -37,12 +39,12 @@ def test_the_agreement_of_several_scans_is_their_mean_each_from_its_own_place():
     scans = [Keyframe(beams_at(p), p) for p in places]
     relative = [places[1].inverse() @ p for p in places]
     poses = np.array([places[1].xyt, (places[1] @ SE2.from_xyt(0.05, 0.0, 0.1)).xyt])
-    found = aliasing._mean_agreement(poses, relative, scans)
+    found = aliasing.mean_agreement(poses, relative, scans)
     for pose, value in zip(poses, found, strict=True):
         each = [search.agreement((SE2(pose) @ r).xyt, g.beams) for r, g in zip(relative, scans, strict=True)]
         assert value == pytest.approx(np.mean(each))
     assert found[0] > 0.95 > found[1]
-    fit, second = aliasing._polished(SE2.from_xyt(0.05, -0.03, 0.0), scans, places)
+    fit, second = aliasing.polish(SE2.from_xyt(0.05, -0.03, 0.0), scans, places)
     assert fit > 0.97
     assert np.abs((second @ places[1]).xyt - places[1].xyt).max() < 0.03
     assert aliasing.fits([SE2.identity()], scans[0], SE2.identity()) == pytest.approx(1.0, abs=0.03)
@@ -59,12 +61,12 @@ def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hu
             return rng.permutation(poses[~without(poses)])
 
     aliasing = Aliasing(Drawn(), rng)
-    found = aliasing._places(None, [SE2.from_xyt(-20.0, 0.0, 0.0)])
+    found = aliasing.places(None, [SE2.from_xyt(-20.0, 0.0, 0.0)])
     assert len(found) == 3
     for centre in centres[:3]:
         assert min(np.abs(place - centre).max() for place in found) < 0.02
     # Known ones are not drawn: the first, and one that is as near to the second in place, but not in heading.
-    (other, turned) = sorted(aliasing._places(None, [SE2.identity(), SE2.from_xyt(3.0, 0.0, 1.5)]), key=sum)
+    (other, turned) = sorted(aliasing.places(None, [SE2.identity(), SE2.from_xyt(3.0, 0.0, 1.5)]), key=sum)
     assert np.abs(turned - centres[1]).max() < 0.02
     assert np.abs(other - centres[2]).max() < 0.02
 
@@ -88,32 +90,45 @@ def test_the_fine_pose_agrees_with_a_cloud_within_its_reach():
         ((0, 0, 0.101), narrow, False), ((0.29, 0.59, 0.149), wide, True), ((0, 0.61, 0), wide, False),
         ((0, 0, 2 * math.pi - 0.05), narrow, True),
     ):  # fmt: skip
-        assert _agree(SE2(narrow.T_map_base.xyt + np.array(offset)), cloud) == agrees
+        assert agree(SE2(narrow.T_map_base.xyt + np.array(offset)), cloud) == agrees
 
 
 def test_the_trust_in_odometry_follows_the_scans_nis():
-    fine = FinePose(GRID)
-    share = fine_pose.FIRST_SHARE
-    for nis in (0.5, 1.5, 9.0, 0.0):
-        fine._learn(nis)
-        share *= 1.0 + 0.05 * (nis - 0.5)
-        assert fine._share == pytest.approx(share)
-    for nis, end in ((0.0, fine_pose.LEAST_SHARE), (3.0, 1.0)):
-        for _ in range(200):
-            fine._learn(nis)
-        assert fine._share == end
-    for std, started in ((0.149, True), (0.151, False)):
-        cloud = Estimate(PLACE, np.diag([1e-4, std**2, 1e-4]), np.eye(3))
-        assert (fine._started(cloud) is not None) == started
-    tracked = fine._started(Estimate(PLACE, 1e-4 * np.eye(3), np.eye(3)))
-    np.testing.assert_allclose(tracked.T_map_base.xyt, PLACE.xyt)
+    for share, nis, expected in ((0.3, 0.5, 0.3), (0.3, 1.5, 0.315), (0.2, 9.0, 0.285), (0.2, 0.0, 0.195)):
+        assert next_share(share, nis) == pytest.approx(expected)
+    assert next_share(fine_pose.LEAST_SHARE, 0.0) == fine_pose.LEAST_SHARE
+    assert next_share(0.9, 30.0) == 1.0
+    # Beside a wall filter that is given the same.
+    cloud, points = Estimate(PLACE, 1e-4 * np.eye(3), np.eye(3)), beams_at(PLACE).points
+    fine, track = FinePose(GRID), WallFilter(fit_surfaces(GRID), PLACE, cloud.core)
+    fine.correct(cloud, points)
+    track.correct(points)
+    share, std = fine_pose.FIRST_SHARE, np.array([0.02, 0.05, 0.02])
+    for _ in range(6):
+        assert fine.share == pytest.approx(share)
+        step = SE2.from_xyt(0.02, 0.0, 0.01)
+        fine.predict(step, (0.0, 0.02, 0.01), std)
+        track.predict(step, (0.0, 0.02, 0.01), share * std)
+        share = next_share(share, track.correct(points))
+        np.testing.assert_array_equal(fine.correct(cloud, points).xyt, track.T_map_base.xyt)
+    assert fine.share == share != fine_pose.FIRST_SHARE
 
 
-def test_where_even_a_new_start_disagrees_the_clouds_mean_is_told(monkeypatch):
-    monkeypatch.setattr(fine_pose, "_agree", lambda pose, cloud: False)
-    off = PLACE @ SE2.from_xyt(0.03, -0.02, 0.02)
-    cloud = Estimate(off, 1e-3 * np.eye(3), np.eye(3))
-    assert FinePose(GRID).correct(cloud, beams_at(PLACE).points) is cloud.T_map_base
+@pytest.mark.parametrize(("std", "started"), [(0.149, True), (0.151, False)])
+def test_a_fine_pose_starts_from_a_narrow_cluster(std, started):
+    cloud = Estimate(PLACE, np.diag([1e-4, std**2, 1e-4]), np.eye(3))
+    pose = FinePose(GRID).correct(cloud, beams_at(PLACE @ SE2.from_xyt(0.01, 0.01, 0.0)).points)
+    assert (pose is not cloud.T_map_base) == started
+
+
+def test_where_even_a_new_start_disagrees_the_clouds_mean_is_told():
+    """The scan is of a place farther off than the cloud is wide."""
+    cloud = Estimate(PLACE @ SE2.from_xyt(0.0, 0.2, 0.0), 1e-3 * np.eye(3), np.eye(3))
+    points = beams_at(PLACE).points
+    alone = WallFilter(fit_surfaces(GRID), cloud.T_map_base, cloud.core)
+    alone.correct(points)
+    assert not agree(alone.T_map_base, cloud)
+    assert FinePose(GRID).correct(cloud, points) is cloud.T_map_base
 
 
 def test_the_fine_pose_is_matched_with_the_first_scan_already_and_starts_again_where_it_disagrees():
@@ -123,16 +138,18 @@ def test_the_fine_pose_is_matched_with_the_first_scan_already_and_starts_again_w
     found = PLACE.inverse() @ fine.correct(cloud, points)
     assert np.hypot(found.x, found.y) < 0.015
     assert abs(float(found.yaw)) < 0.008
-    tracked = fine._filter
-    fine.correct(cloud, points)
-    assert fine._filter is tracked
+    # It is tracked on, not started anew: the second scan says less than the first.
+    anew = FinePose(GRID).correct(cloud, points).xyt
+    np.testing.assert_array_equal((PLACE @ found).xyt, anew)
+    assert np.abs(fine.correct(cloud, points).xyt - anew).max() > 1e-7
+    # Where cloud and track are apart the track is given up.
     far = Estimate(PLACE @ SE2.from_xyt(0.5, 0.0, 0.0), cloud.core, np.eye(3))
     fine.correct(far, points)
-    assert fine._filter is not tracked
+    np.testing.assert_array_equal(fine.correct(cloud, points).xyt, anew)
     wide = Estimate(off, np.eye(3), np.eye(3))
+    assert fine.correct(wide, points) is not off
     fine.forget()
     assert fine.correct(wide, points) is off
-    assert fine._filter is None
 
 
 def test_tempering_takes_the_steepest_power_that_leaves_enough():
@@ -171,4 +188,5 @@ def test_the_search_finds_the_place_anywhere_and_about_a_pose():
     assert search.agreements(PLACE.xyt[None], silent).tolist() == [0.0]
     free = search.uniform(50, rng)
     assert free.shape == (50, 3)
-    np.testing.assert_allclose(search.log_likelihood(free, beams), 0.3 * search._score(free, beams))
+    flat = 0.3 * search.path_log_likelihood(free, beams)
+    np.testing.assert_allclose(search.log_likelihood(free, beams), flat)

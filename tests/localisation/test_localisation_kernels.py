@@ -60,16 +60,24 @@ def test_a_cluster_is_settled_on_its_mean_from_its_edge():
     np.testing.assert_allclose(alone.covariance, alone.core - 1e-6 * np.eye(3), atol=1e-12)
 
 
-def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_kld_sampling_does(monkeypatch):
-    asked = []
+def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_kld_sampling_does():
+    """A cluster is begun from a few of the heaviest bins: six of five particles each hide one of eight,
+    unless more than five of these share a bin."""
+    bins = np.array([resampling.BIN_M, resampling.BIN_M, resampling.BIN_RAD])
+    fives = np.repeat([[4.0 * k + 0.01, 0.01, 0.01] for k in range(1, 7)], 5, axis=0)
 
-    def noted(poses, bin_xy, bin_yaw):
-        asked.append((bin_xy, bin_yaw))
-        return resampling.bin_numbers(poses, bin_xy, bin_yaw)
+    def found(eight):
+        poses = np.vstack([fives, eight])
+        return estimate.main_cluster(poses, np.full(len(poses), 1.0 / len(poses))).T_map_base
 
-    monkeypatch.setattr(estimate, "bin_numbers", noted)
-    estimate.main_cluster(np.zeros((4, 3)), np.full(4, 0.25))
-    assert asked == [(resampling.BIN_M, resampling.BIN_RAD)]
+    # in the corners of one bin, and so at most four in any narrower one
+    corners = np.array([[x, y, a] for x in (0.05, 0.95) for y in (0.05, 0.95) for a in (0.05, 0.95)]) * bins
+    np.testing.assert_allclose(found(corners).xyt, 0.5 * bins, atol=1e-9)
+    # four each in two bins, which wider ones would join
+    for axis in range(3):
+        row = np.tile(0.5 * bins, (8, 1))
+        row[:, axis] = np.repeat([0.95, 1.05], 4) * bins[axis]
+        assert found(row).x > 3.0
 
 
 def test_the_heaviest_cluster_wins_though_the_heaviest_bin_is_another_s():

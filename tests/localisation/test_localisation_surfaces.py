@@ -13,11 +13,11 @@ from turtlebag.pipeline.localisation import surfaces as module
 from turtlebag.pipeline.localisation import wall_filter as walls
 from turtlebag.pipeline.localisation.small_matrices import multiply, solve
 from turtlebag.pipeline.localisation.surfaces import (
-    _parabola,
-    _towards_free,
     fit_cells,
+    fit_parabola,
     fit_surfaces,
     grow_patches,
+    towards_free,
 )
 from turtlebag.pipeline.localisation.wall_filter import (
     ODOMETRY_WALK,
@@ -45,7 +45,7 @@ def world(seed):
     index = np.full(occupied.shape, -1, dtype=np.int32)
     index[occupied] = np.arange(len(cells))
     free = ~occupied & (np.arange(33) < 20)
-    return cells, index, _towards_free(free)[cells[:, 0], cells[:, 1]]
+    return cells, index, towards_free(free)[cells[:, 0], cells[:, 1]]
 
 
 def plain_parabola(near, normal):
@@ -64,12 +64,12 @@ def test_a_parabola_is_fitted_by_weighted_least_squares(seed):
     rng = np.random.default_rng(seed)
     near = np.column_stack([rng.integers(-3, 4, (14, 2)), rng.random(14)]).astype(float)
     normal = np.array([math.cos(seed), math.sin(seed)])
-    assert _parabola(near, *normal) == pytest.approx(plain_parabola(near, normal), abs=1e-8)
+    assert fit_parabola(near, *normal) == pytest.approx(plain_parabola(near, normal), abs=1e-8)
     # of a true parabola height and slope are those of the curve, and nothing is left
     u = np.linspace(-3.0, 3.0, 9)
     v = 0.4 - 0.3 * u + 0.1 * u**2
     points = np.outer(u, [-normal[1], normal[0]]) + np.outer(v, normal)
-    exact = _parabola(np.column_stack([points, np.ones(9)]), *normal)
+    exact = fit_parabola(np.column_stack([points, np.ones(9)]), *normal)
     assert exact == pytest.approx((0.4, -0.3, 0.0), abs=2e-3)
 
 

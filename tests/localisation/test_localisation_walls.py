@@ -14,31 +14,18 @@ from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.localisation.small_matrices import multiply, solve
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
-from turtlebag.pipeline.localisation.wall_filter import FIXED, POSE, WallFilter
+from turtlebag.pipeline.localisation.wall_filter import FIXED, MAX_WALLS, POSE, WallFilter
 
 
 def offsets(track):
     """Offset and its standard deviation [m] of each known wall, by patch."""
-    std = np.sqrt(np.diag(track._P)[FIXED:])
-    return {int(p): (o, s) for p, o, s in zip(track._walls, track._x[FIXED:], std, strict=True)}
+    std = np.sqrt(np.diag(track.P)[FIXED:])
+    return {int(p): (o, s) for p, o, s in zip(track.walls, track.state[FIXED:], std, strict=True)}
 
 
 def odometry_errors(track):
     """Share of distance, share of turn, turn by distance [rad/m] that odometry lacks, and their std."""
-    return track._x[POSE:FIXED].copy(), np.sqrt(np.diag(track._P)[POSE:FIXED])
-
-
-def test_a_wall_has_one_offset_however_often_it_is_seen_and_keeps_it_when_others_are_forgotten(monkeypatch):
-    surfaces = fit_surfaces(l_shaped_room().grid())
-    track = WallFilter(surfaces, SE2.from_xyt(2.0, 2.0, 0.4), 1e-4 * np.eye(3))
-    assert track._admit(np.array([0, 2], dtype=np.int32)).tolist() == [0, 1]
-    assert track._admit(np.array([2, 0, 1], dtype=np.int32)).tolist() == [1, 0, 2]
-    assert offsets(track) == {k: (0.0, pytest.approx(0.14 * surfaces.resolution)) for k in (0, 1, 2)}
-    track._x[FIXED:] = 0.01, 0.02, 0.03
-    assert track._offsets()[:4].tolist() == [0.01, 0.03, 0.02, 0.0]
-    monkeypatch.setattr("turtlebag.pipeline.localisation.wall_filter.MAX_WALLS", 2)
-    assert track._admit(np.array([1], dtype=np.int32)).tolist() == [0]
-    assert track._offsets()[:4].tolist() == [0.0, 0.03, 0.0, 0.0]
+    return track.state[POSE:FIXED].copy(), np.sqrt(np.diag(track.P)[POSE:FIXED])
 
 
 @pytest.mark.slow
@@ -86,12 +73,9 @@ def test_the_wall_filter_finds_the_pose_and_where_the_walls_stand():
     assert all(0.0 < std <= 0.0071 for _, std in offsets(track).values())
 
 
-def wall_filter(start: SE2) -> WallFilter:
-    return WallFilter(
-        fit_surfaces(l_shaped_room().grid()),
-        start,
-        np.diag([0.02, 0.02, 0.02]) ** 2,
-    )
+def wall_filter(start: SE2, most_walls: int = MAX_WALLS) -> WallFilter:
+    cov = np.diag([0.02, 0.02, 0.02]) ** 2
+    return WallFilter(fit_surfaces(l_shaped_room().grid()), start, cov, most_walls)
 
 
 def scanned(T: SE2, rng: np.random.Generator) -> np.ndarray:
@@ -131,12 +115,37 @@ def test_a_slip_of_the_wheels_is_noticed_and_undone_by_the_same_scan():
     assert abs(float(error.yaw)) < 0.01
 
 
-@pytest.mark.parametrize("most", [1, 6])
-def test_a_slip_where_walls_are_forgotten_leaves_the_others_in_their_place(monkeypatch, most):
-    """The scan that shows the slip also shows new walls, so that old ones must go."""
-    monkeypatch.setattr("turtlebag.pipeline.localisation.wall_filter.MAX_WALLS", most)
+def test_a_wall_has_one_offset_however_often_it_is_seen_and_keeps_it_when_others_are_forgotten():
+    """While the robot turns on the spot, a filter that keeps three walls, beside those in sight, knows of
+    them what one knows that keeps all."""
     T, rng = SE2.from_xyt(0.6, 0.6, 0.1), np.random.default_rng(8)
-    track = wall_filter(T)
+    whole, few = wall_filter(T), wall_filter(T, 3)
+    cell = fit_surfaces(l_shaped_room().grid()).resolution
+    seen: set[int] = set()
+    for k in range(11):
+        points = ahead(scanned(T, rng))
+        for track in (whole, few):
+            track.correct(points)
+        both = offsets(whole), offsets(few)
+        assert len(both[1]) == len(few.walls) <= len(set(whole.walls)) == len(whole.walls)
+        for wall, (offset, std) in both[1].items():
+            assert (offset, std) == pytest.approx(both[0][wall], abs=1e-9)
+        assert all(std <= 0.14 * cell + 1e-12 for _, std in both[0].values())
+        seen |= set(both[1])
+        step = SE2.from_xyt(0.0, 0.0, 0.5 if k % 2 else 0.0)
+        for track in (whole, few):
+            track.predict(step, (0.0, 0.0, float(step.yaw)), np.full(3, 1e-3))
+        T = T @ step
+    assert set(offsets(whole)) == seen
+    assert len(whole.walls) == 9
+    assert len(few.walls) == 1
+
+
+@pytest.mark.parametrize("most", [1, 6])
+def test_a_slip_where_walls_are_forgotten_leaves_the_others_in_their_place(most):
+    """The scan that shows the slip also shows new walls, so that old ones must go."""
+    T, rng = SE2.from_xyt(0.6, 0.6, 0.1), np.random.default_rng(8)
+    track = wall_filter(T, most)
     for _ in range(10):
         track.correct(ahead(scanned(T, rng)))
     known = set(offsets(track))

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -34,12 +35,18 @@ from turtlebag.pipeline.navigation.disambiguation import (
 from turtlebag.pipeline.navigation.driver_setup import Request
 from turtlebag.pipeline.navigation.driver_setup import prepare as prepare_mission
 from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
-from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
+from turtlebag.planners.control.collision_monitor import PADDING_M, CollisionMonitor
+from turtlebag.planners.control.goal_checker import GoalCheckerConfig
+from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
-from turtlebag.planners.global_plan import plan_path
+from turtlebag.planners.global_plan import OmplPlanner, PlanConfig
+from turtlebag.planners.obstacle_layer import Marking, ObstacleLayer
+from turtlebag.planners.tasks.frontier import SPENT_M
+from turtlebag.planners.tasks.recovery import RecoveryConfig
 from turtlebag.sim import shapes
 from turtlebag.sim.faults import FaultConfig
 from turtlebag.sim.robots import load_robot
@@ -52,14 +59,6 @@ TWIN = SE2.from_xyt(12.0, 4.0, math.pi)
 PILLARS = ((4.0, 1.0, 4.3, 1.4), (7.7, 2.6, 8.0, 3.0), (5.6, 0.0, 5.9, 0.5), (6.1, 3.5, 6.4, 4.0))
 CUPBOARD = (10.8, 1.2, 12.0, 2.8)
 BURGER = load_robot("burger")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def few_candidates():
-    """A search draws as many poses per square metre of these rooms as of a house."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("turtlebag.pipeline.localisation.global_search.CANDIDATES", 5000)
-        yield
 
 
 def room(*, cupboard=True):
@@ -77,9 +76,9 @@ def world(*, cupboard=True):
     return World("aliased", "burger", SE2.from_xyt(5.0, 2.4, 0.3), solids, (-0.5, 12.5, -0.5, 4.5), (), {})
 
 
-def aliasing_of(grid):
+def aliasing_of(grid, searched=GlobalSearch):
     config = AmclConfig()
-    search = GlobalSearch(grid, distance_field(grid, 2.0), config, STILL_LIDAR.range_max)
+    search = searched(grid, distance_field(grid, 2.0), config, STILL_LIDAR.range_max)
     return Aliasing(search, np.random.default_rng(1))
 
 
@@ -134,18 +133,18 @@ def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
     assert fits[0] > fits[1] + 2.0 * ALIKE
 
 
-def test_poses_drawn_beside_the_true_place_do_not_stand_for_it(monkeypatch):
+def test_poses_drawn_beside_the_true_place_do_not_stand_for_it():
     """Seen from the first scan the search ends beside the true place, where no small step explains more."""
     scans = scans_at(room(), turning_at(9.5, 3.0), np.random.default_rng(2))
     beside = scans[0].T_odom_base @ SE2.from_xyt(0.3, 0.0, 0.7)
     drawn = iter([beside, *(scan.T_odom_base for scan in scans[1:])])
 
-    def draw(search, count, beams, rng, around=None, without=None):
-        poses = np.tile(next(drawn).xyt, (count, 1))
-        return poses[~without(poses)]
+    class Beside(GlobalSearch):
+        def draw(self, count, beams, rng, around=None, without=None):
+            poses = np.tile(next(drawn).xyt, (count, 1))
+            return poses[~without(poses)]
 
-    monkeypatch.setattr(GlobalSearch, "draw", draw)
-    (moved,) = aliasing_of(room().grid()).find(scans, TWIN)
+    (moved,) = aliasing_of(room().grid(), Beside).find(scans, TWIN)
     there = moved @ TWIN @ scans[-1].T_odom_base
     assert not apart(scans[-1].T_odom_base, there, 0.05)
 
@@ -252,22 +251,39 @@ def test_where_the_walls_are_alike_no_place_differs_whatever_is_kept_out_of():
     assert nearest_difference(costmap, both, floor, 0.2, start, []) is not None
 
 
-def test_where_its_way_is_barred_a_disambiguation_roams_half_a_metre_and_then_goes_elsewhere(monkeypatch):
-    tried = []
+def test_where_its_way_is_barred_a_disambiguation_roams_half_a_metre_and_then_goes_elsewhere():
+    """The way to the one place is barred by what the lidar sees, for a while."""
+    walls, goals = costmap_from_grid(room().grid(), CostmapConfig()), []
+    tools = Tools(
+        BURGER.model,
+        Pursuit(BURGER.model, 0.1),
+        CollisionMonitor(BURGER.model),
+        ObstacleLayer(walls, Marking(hits=1, obstacle_range=99.0)),
+        PlanConfig(),
+        GoalCheckerConfig(),
+        RecoveryConfig(),
+        SimpleNamespace(plan=lambda now_ns, poses: goals.append(poses.xy[-1])),
+        1,
+    )
+    poses, start = [SE2.identity(), TWIN], SE2.from_xyt(6.5, 2.0, 0.0)
+    disambiguation = Disambiguation(aliasing_of(room().grid()), poses, tools, 0)
+    floor, radius = disambiguation.tools.obstacles, BURGER.model.circumscribed_radius + PADDING_M
+    first = nearest_difference(walls, poses, floor.static, radius, start, [])
+    across = np.arange(0.0, 4.0, 0.05)
+    bars = np.vstack([np.column_stack([np.full(80, first.x + off), across]) for off in (-0.4, 0.4)])
+    floor.update(0.0, SE2.from_xyt(6.5, 3.9, 0.0), bars, np.zeros((0, 2)))
 
-    def set_out(self, pose):
-        tried.append(list(self._visited))
-        step = lambda tick: (Twist(0.1, 0.0), None)  # noqa: E731
-        return SimpleNamespace(step=step, recovering=len(tried) == 1, goal=SE2.from_xyt(3.0, 0.0, 0.0))
+    def at(x):
+        pose = SE2.from_xyt(x, 2.0, 0.0)
+        tick = Tick(10**9, pose, Twist(), Twist(), np.zeros((0, 2)), new_sweep=False, stop=False)
+        return disambiguation.command(tick)
 
-    monkeypatch.setattr(Disambiguation, "_set_out", set_out)
-    disambiguation = object.__new__(Disambiguation)
-    disambiguation.begin_again(0)
-    at = lambda x: disambiguation.command(SimpleNamespace(pose=SE2.from_xyt(x, 0.0, 0.0)))  # noqa: E731
-    assert [at(0.0), at(0.1), at(0.49)] == [None, None, None]
-    assert len(tried) == 1
-    assert [at(0.51), at(0.52)] == [Twist(0.1, 0.0), Twist(0.1, 0.0)]
-    assert [np.array(places).tolist() for places in tried] == [[], [[3.0, 0.0]]]
+    assert at(6.5) is None
+    floor.clear()
+    assert [at(6.6), at(6.99)] == [None, None]
+    assert at(7.01) is not None
+    assert len(goals) == 1
+    assert np.linalg.norm(goals[0] - first.xy) > SPENT_M
 
 
 def test_a_hypothesis_that_is_left_behind_over_several_scans_is_dropped():
@@ -289,12 +305,28 @@ def run(place, tmp_path, config, seed=2, **request):
         return drive(simulator, mission)
 
 
+class NotingPlanner(OmplPlanner):
+    """A user's planner that notes where plans begin."""
+
+    starts: ClassVar[list[SE2]] = []
+
+    def plan(self, costmap, model, T_map_start, T_map_goal, seed):
+        self.starts.append(T_map_start)
+        return super().plan(costmap, model, T_map_start, T_map_goal, seed)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("half", [SE2.identity(), TWIN])
 def test_a_robot_that_wakes_up_in_one_of_two_places_finds_out_which_and_arrives(tmp_path, half):
     start, goal = half @ SE2.from_xyt(5.0, 2.4, 0.3), half @ SE2.from_xyt(4.8, 3.0, 0.0)
-    episode = run(world(), tmp_path, NavigateConfig(), initial_pose="global", start=start, goal=goal)
+    config = NavigateConfig(plan=PlanConfig(planner=f"{__name__}:NotingPlanner"))
+    NotingPlanner.starts.clear()
+    episode = run(world(), tmp_path, config, initial_pose="global", start=start, goal=goal)
     assert "disambiguate" in episode.log.state
+    # The way to the goal begins where the estimate is after it was moved.
+    true = episode.log.T_world_base.xy
+    off = [np.linalg.norm(true - place.xy, axis=1).min() for place in NotingPlanner.starts]
+    assert off[-1] < 0.05
     (outcome,) = episode.metrics["goals"]
     assert outcome["status"] == "reached"
     assert outcome["error_m"] < 0.05
@@ -312,28 +344,6 @@ def test_where_nothing_tells_them_apart_it_roams_no_goal_counts_and_the_reason_i
     assert REASON in outcome["reason"] or LOST in outcome["reason"]
     assert episode.metrics["distance_m"] > 1.0
     assert not any(episode.metrics["collisions"].values())
-
-
-@pytest.mark.slow
-def test_the_way_to_a_goal_begins_where_a_disambiguation_has_moved_the_estimate(tmp_path, monkeypatch):
-    starts, moved = [], []
-
-    def planned(costmap, model, start, *rest):
-        starts.append(start)
-        return plan_path(costmap, model, start, *rest)
-
-    def examined(relocaliser, now_ns):
-        if now_ns > 2e9 and not moved:
-            moved.append(now_ns)
-            relocaliser._move_to(TWIN)
-
-    monkeypatch.setattr("turtlebag.pipeline.navigation.goal_runner.plan_path", planned)
-    monkeypatch.setattr(Relocaliser, "_examine", examined)
-    asked = {"goal": SE2.from_xyt(1.0, 2.0, 0.0), "timeout_s": 3.0}
-    run(world(cupboard=False), tmp_path, NavigateConfig(), initial_pose="start", **asked)
-    before, after = starts[0], starts[1]
-    assert np.linalg.norm((TWIN @ before).xy - after.xy) < 0.6
-    assert np.linalg.norm(before.xy - after.xy) > 1.0
 
 
 @pytest.mark.slow

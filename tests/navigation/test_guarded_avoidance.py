@@ -9,9 +9,15 @@ from scipy.spatial import cKDTree
 from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, _misfit
-from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance, _to_most_room
+from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, misfit
+from turtlebag.pipeline.navigation.guarded_avoidance import (
+    RESTLESS_M,
+    RESTLESS_S,
+    GuardedAvoidance,
+    most_room,
+)
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
+from turtlebag.planners.tasks.recovery import ProgressWatch
 from turtlebag.planners.tasks.sector_rule import Decision, Sectors
 
 S, HERE = 10**9, SE2.identity()
@@ -29,15 +35,8 @@ def avoidance():
     return GuardedAvoidance(BURGER)
 
 
-def test_the_gap_is_the_free_length_before_the_nose_within_the_corridor():
-    half = 0.105 + 0.06
-    points = np.array(
-        [[1.0, 0.0], [0.5, half - 0.001], [0.3, half + 0.001], [0.3, -half - 0.001], [-0.2, 0.0]]
-    )
-    assert avoidance()._gap(points) == pytest.approx(0.5 - 0.041)
-    assert avoidance()._gap(points[[0, 2, 3, 4]]) == pytest.approx(1.0 - 0.041)
-    assert avoidance()._gap(points[[2, 4]]) == math.inf
-    assert avoidance()._gap(np.array([[0.4, 0.1 - half]])) == pytest.approx(0.4 - 0.041)
+HALF = 0.105 + 0.06
+"""Half of the corridor before the nose."""
 
 
 @pytest.mark.parametrize(
@@ -50,6 +49,10 @@ def test_the_gap_is_the_free_length_before_the_nose_within_the_corridor():
         (Sectors(1.0, 0.49, 1.0), FAR, ("stop, turn right", 0.0, -0.5)),
         (Sectors(2.0, 2.0, 1.0), [[0.24, 0.1]], ("stop, turn left", 0.0, 0.5)),
         (Sectors(2.0, 2.0, 1.0), [[0.242, 0.1]], ("straight", 0.2, 0.0)),
+        (Sectors(2.0, 2.0, 1.0), [[1.0, 0.0], [0.2, HALF - 0.001]], ("stop, turn left", 0.0, 0.5)),
+        (Sectors(2.0, 2.0, 1.0), [[0.2, 0.001 - HALF]], ("stop, turn left", 0.0, 0.5)),
+        (Sectors(2.0, 2.0, 1.0), [[0.2, HALF + 0.001], [0.2, -HALF - 0.001]], ("straight", 0.2, 0.0)),
+        (Sectors(2.0, 2.0, 1.0), [[-0.2, 0.0]], ("straight", 0.2, 0.0)),
     ],
 )
 def test_the_guard_decides_by_sectors_and_by_the_gap_before_its_nose(sectors, points, expected):
@@ -65,34 +68,34 @@ def test_most_room_is_where_the_nearest_point_of_a_sector_is_farthest():
         off = np.abs((bearing - centers[wide] + math.pi) % (2 * math.pi) - math.pi)
         r = np.where(off < math.radians(15.5), 2.0, distance)
         points = r[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
-        assert _to_most_room(points) == pytest.approx(centers[wide])
+        assert most_room(points) == pytest.approx(centers[wide])
         # a sector in which nothing was hit has the most
-        assert _to_most_room(points[r < 1.5]) == pytest.approx(centers[wide])
-    assert _to_most_room(12.0 * points) == pytest.approx(centers[20])
-    assert _to_most_room(points[r < 0.0]) == pytest.approx(-math.pi)
+        assert most_room(points[r < 1.5]) == pytest.approx(centers[wide])
+    assert most_room(12.0 * points) == pytest.approx(centers[20])
+    assert most_room(points[r < 0.0]) == pytest.approx(-math.pi)
 
 
 def test_a_robot_long_about_one_place_turns_to_where_most_room_is():
-    g = avoidance()
-    at = lambda now, x: g._progress.stuck(round(now * 1e9), SE2.from_xyt(x, 0.0, 9.0 * now))  # noqa: E731
+    watch = ProgressWatch(RESTLESS_S, RESTLESS_M, math.inf)
+    at = lambda now, x: watch.stuck(round(now * 1e9), SE2.from_xyt(x, 0.0, 9.0 * now))  # noqa: E731
     assert [at(0.0, 0.0), at(19.9, 0.3), at(20.0, 0.3), at(25.0, 0.3)] == [False, False, True, False]
     # begun anew when it said so, and wherever the robot has come to
     assert [at(40.0, 0.3), at(41.0, 0.71), at(60.9, 0.8), at(61.0, 0.8)] == [True, False, False, True]
-    at(61.1, 0.8)
-    g.interrupted()
-    assert not at(90.0, 0.8)
     again = avoidance()
+    again.decide(view(now=-30.0), HERE, Twist())
+    again.interrupted()
     again.decide(view(now=0.0), HERE, Twist())
+    assert again.decide(view(now=19.8), HERE, Twist()).action == "straight"
     assert again.decide(view(now=20.0), HERE, Twist()).action == "turn away"
     assert again.decide(view(now=20.2), HERE, Twist()).command == Twist(0.0, -0.5)
 
 
-def pushing(g, **where):
-    """What it decides at a sweep that shows that it pushes against something."""
-    g._bumps._slip.slipping = lambda *seen: True
-    v = where.pop("v", 0.1)
-    pose = where.get("pose") or HERE
-    return g.decide(view(**where), pose, Twist(v, 0.0))
+def pushing(g, v=0.1, pose=HERE, **seen):
+    """What it decides at a sweep that shows that it pushes against something: odometry has gone on, and the
+    robot sees what it saw before."""
+    before = pose @ SE2.from_xyt(math.copysign(-0.11, v), 0.0, 0.0)
+    g.decide(view(pose=before, **seen), before, Twist(v, 0.0))
+    return g.decide(view(pose=pose, **seen), pose, Twist(v, 0.0))
 
 
 @pytest.mark.parametrize(("wall", "v"), [(0.08, -0.1), (-0.17, 0.1)])
@@ -112,9 +115,12 @@ def test_a_robot_long_in_a_corner_drives_to_the_freer_side_and_only_then_turns(w
 def test_an_interrupted_guard_forgets_what_it_was_doing_and_not_what_it_knows():
     g = avoidance()
     assert pushing(g, sectors=Sectors(2.0, 2.0, 1.0)).command == Twist(-0.1, 0.0)
-    g._turning, g._flips = 1.0, 2
+    g.turning = 1.0
     g.interrupted()
-    assert (g._bumps.escape, g._turning, g._flips, g._bumps._slip._pose) == (None, 0.0, 0, None)
+    assert (g.turning, g.decision.action) == (0.0, "hold")
+    # No escape any more, and sweeps are compared anew.
+    on = SE2.from_xyt(0.2, 0.0, 0.0)
+    assert g.decide(view(pose=on), on, Twist(0.1, 0.0)).action == "straight"
     assert len(g.points_base(view(), HERE)) > len(FAR)
     assert len(g.points_base(view(now=MEMORY_NS * 1e-9 - 0.1), HERE)) > len(FAR)
     assert len(g.points_base(view(now=MEMORY_NS * 1e-9), HERE)) == len(FAR)
@@ -122,20 +128,37 @@ def test_an_interrupted_guard_forgets_what_it_was_doing_and_not_what_it_knows():
 
 @pytest.mark.parametrize(("v", "left", "backs", "turns"), [(0.1, 2.0, -0.1, 0.5), (-0.1, 1.0, 0.1, -0.5)])
 def test_what_it_is_stuck_at_is_remembered_and_left_the_other_way(v, left, backs, turns):
-    g, pose = avoidance(), SE2.from_xyt(1.0, 2.0, 0.5)
-    g._turning = 1.0
-    found = pushing(g, v=v, now=3.0, pose=pose, sectors=Sectors(left, 2.0, 1.5))
-    assert (found.command, g._turning) == (Twist(backs, 0.0), 0.0)
+    g, pose, sectors = avoidance(), SE2.from_xyt(1.0, 2.0, 0.5), Sectors(left, 2.0, 1.5)
+    found = pushing(g, v=v, now=3.0, pose=pose, sectors=sectors)
+    assert (found.command, g.turning) == (Twist(backs, 0.0), 0.0)
     there = pose @ SE2.from_xyt(-0.25 if v > 0 else 0.25, 0.0, 0.0)
-    assert g._bumps.escape.command(0, there) == Twist(0.0, turns)
-    assert g._bumps.escape.command(0, there @ SE2.from_xyt(0.0, 0.0, math.copysign(1.59, turns))) is not None
-    assert g._bumps.escape.command(0, there @ SE2.from_xyt(0.0, 0.0, math.copysign(1.61, turns))) is None
+    for turned, action in ((0.0, "turn away"), (1.59, "turn away"), (1.61, "straight")):
+        at = there @ SE2.from_xyt(0.0, 0.0, math.copysign(turned, turns))
+        found = g.decide(view(now=3.0, pose=at, sectors=sectors), at, Twist())
+        assert found.action == action
+        assert found.command == (Twist(0.0, turns) if action == "turn away" else Twist(0.2, 0.0))
+
+
+def test_after_some_changes_of_the_freer_side_it_keeps_to_one_until_it_is_interrupted():
+    g = avoidance()
+    left, right = Sectors(1.0, 0.3, 0.5), Sectors(0.5, 0.3, 1.0)
+    order = (left, right, left, right, left, right)
+    sides = [g.decide(view(sectors=s), HERE, Twist()).action.rpartition(" ")[2] for s in order]
+    assert sides == ["left", "right", "left", "right", "right", "right"]
+    g.interrupted()
+    sides = [g.decide(view(sectors=s), HERE, Twist()).action.rpartition(" ")[2] for s in order]
+    assert sides == ["left", "right", "left", "right", "right", "right"]
+    # and a robot that bumps into something begins anew with its sides too
+    assert g.turning == -1.0
+    pushing(g, sectors=right)
+    assert g.turning == 0.0
 
 
 @pytest.mark.parametrize(("v", "edge"), [(0.1, 0.041 + 0.05), (0.0, 0.041 + 0.05), (-0.1, -0.105 - 0.05)])
 def test_a_bump_is_a_line_beyond_the_leading_edge_as_wide_as_the_robot_in_the_frame_asked_for(v, edge):
     bumps, T_map_odom, pose = BumpMemory(BURGER), SE2.from_xyt(0.3, 0.1, -0.2), SE2.from_xyt(1.0, 2.0, 0.5)
-    bumps._slip.slipping = lambda *seen: True
+    before = pose @ SE2.from_xyt(-0.11, 0.0, 0.0)
+    assert not bumps.noticed(view(pose=before), before, Twist(v, 0.0), 0.0, T_map_odom)
     assert bumps.noticed(view(pose=pose), pose, Twist(v, 0.0), 0.0, T_map_odom)
     line = (T_map_odom @ pose).inverse() @ bumps.points(0)
     np.testing.assert_allclose(line[:, 0], edge)
@@ -178,14 +201,14 @@ def test_what_touches_is_replaced_by_the_first_motion_that_does_not(
     posts, before, command, instead, done, turning
 ):
     g = avoidance()
-    g._turning = before
-    found = g._possible(Decision("asked", command), np.array(posts))
-    assert (found.action, found.command, g._turning) == (instead, done, turning)
+    g.turning = before
+    found = g.possible(Decision("asked", command), np.array(posts))
+    assert (found.action, found.command, g.turning) == (instead, done, turning)
 
 
 def test_what_touches_nothing_is_done():
     free = Decision("straight", BACK)
-    assert avoidance()._possible(free, np.array([NOSE, LEFT, RIGHT])) is free
+    assert avoidance().possible(free, np.array([NOSE, LEFT, RIGHT])) is free
 
 
 def test_sweeps_are_compared_once_odometry_has_passed_far_enough():
@@ -201,12 +224,12 @@ def test_sweeps_are_compared_once_odometry_has_passed_far_enough():
     assert not watch.slipping(on, far @ points)  # it did move: the world stood still
     turned = on @ SE2.from_xyt(0.0, 0.0, 0.7)
     assert not watch.slipping(turned, far @ points)
-    assert watch._pose is turned
     few = turned @ SE2.from_xyt(0.5, 0.0, 0.0)
     assert not watch.slipping(few, few @ points[:29])
     assert not watch.slipping(few @ SE2.from_xyt(0.5, 0.0, 0.0), few @ points)
+    assert watch.slipping(few @ SE2.from_xyt(1.0, 0.0, 0.0), few @ SE2.from_xyt(0.5, 0.0, 0.0) @ points)
     watch.reset()
-    assert watch._pose is None
+    assert not watch.slipping(few @ SE2.from_xyt(1.5, 0.0, 0.0), few @ SE2.from_xyt(1.0, 0.0, 0.0) @ points)
     # turning on the spot while only the way is false
     spun = SlipWatch()
     spun.slipping(SE2.identity(), points)
@@ -216,6 +239,6 @@ def test_sweeps_are_compared_once_odometry_has_passed_far_enough():
 
 def test_the_misfit_is_the_mean_gap_cut_at_twenty_centimetres():
     tree = cKDTree(np.array([[0.0, 0.0], [1.0, 0.0]]))
-    assert _misfit(tree, np.array([[0.1, 0.0], [1.0, 0.05], [5.0, 5.0]])) == pytest.approx(
+    assert misfit(tree, np.array([[0.1, 0.0], [1.0, 0.05], [5.0, 5.0]])) == pytest.approx(
         (0.1 + 0.05 + 0.2) / 3
     )

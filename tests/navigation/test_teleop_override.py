@@ -142,8 +142,11 @@ def test_the_end_of_a_pipe_hands_back():
 
 @pytest.mark.slow
 def test_ctrl_c_during_a_keyboard_override_keeps_the_drive(true_map, tmp_path, monkeypatch, capfd):
-    def wait(time_s):
-        if time_s == 3.0:
+    now_s = [0.0]
+
+    def sleep(seconds):
+        now_s[0] += seconds
+        if now_s[0] >= 3.0 - 1e-6:
             signal.raise_signal(signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)  # ignored, where the tests run in the background
@@ -163,7 +166,8 @@ def test_ctrl_c_during_a_keyboard_override_keeps_the_drive(true_map, tmp_path, m
     ]
     with os.fdopen(reader) as stdin, os.fdopen(writer, "wb"):
         monkeypatch.setattr("sys.stdin", stdin)
-        monkeypatch.setattr("turtlebag.pipeline.terminal.keyboard_teleop.clock", lambda speed: wait)
+        monkeypatch.setattr("time.sleep", sleep)
+        monkeypatch.setattr("time.monotonic", lambda: now_s[0])
         assert main([*words, "--teleop-override", "keyboard", "--out", str(out)]) == 130
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["time_s"] == pytest.approx(3.0)

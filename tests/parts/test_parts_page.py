@@ -26,7 +26,7 @@ def test_the_code_of_the_page_runs(examples):
 
 def test_the_table_names_each_check_and_where_its_contract_is():
     rows = re.findall(r"^\| [a-z ]+ \| .*\| `([\w/]+\.py)` \| `(\w+)` \|", PAGE, re.M)
-    assert {check for _, check in rows} == set(testing.__all__)
+    assert {check for _, check in rows} == {name for name in testing.__all__ if name.startswith("check")}
     for file, check in rows:
         contract = re.search(
             r"`turtlebag\.([\w.]+)\.(\w+)`", " ".join(getattr(testing, check).__doc__.split())

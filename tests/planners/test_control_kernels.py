@@ -12,7 +12,7 @@ from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.control.along_path import arc_lengths, point_at, project
 from turtlebag.planners.control.collision_monitor import depth_inside, free_time, moved, padded
-from turtlebag.planners.control.dwa import COMFORT_M, STEP_S, ArcFloor, ArcWeights, _value, best_arc
+from turtlebag.planners.control.dwa import COMFORT_M, STEP_S, ArcFloor, ArcWeights, best_arc, value_at
 from turtlebag.planners.costmap import clearance_field, distance_field
 from turtlebag.planners.footprint import field_at, footprint_clearance, sample_footprint
 from turtlebag.planners.grid_distance import grid_distance
@@ -139,7 +139,7 @@ def test_a_value_of_a_field_is_its_cells_and_the_other_one_elsewhere():
         (0.5, 0.5, 0.0), (2.9, 0.9, 2.0), (0.0, 1.0, 3.0), (2.0, 1.99, 5.0), (1.5, 1.5, 7.0),
         (-0.1, 0.5, 7.0), (3.0, 0.5, 7.0), (0.5, -0.1, 7.0), (0.5, 2.0, 7.0),
     ):  # fmt: skip
-        assert _value(field, 1.0, x, y, 7.0) == value
+        assert value_at(field, 1.0, x, y, 7.0) == value
 
 
 NAMES = (
@@ -157,7 +157,7 @@ def plain_arc(clearance, to_goal, to_path, samples, pose, vs, ws, setting):
         return footprint_clearance(clearance, RES, samples, x, y, yaw)
 
     here = room_at(*pose)
-    base = _value(to_goal, RES, pose[0], pose[1], 1.0e3)
+    base = value_at(to_goal, RES, pose[0], pose[1], 1.0e3)
     best = (np.inf, 0.0, 0.0)
     for v, w in itertools.product(vs, ws):
         if abs(v) < c["least_v"] and abs(w) < c["least_w"]:
@@ -178,9 +178,11 @@ def plain_arc(clearance, to_goal, to_path, samples, pose, vs, ws, setting):
             continue
         nose = end[0] + c["ahead"] * math.cos(end[2]), end[1] + c["ahead"] * math.sin(end[2])
         cost = c["goal"] * (
-            _value(to_goal, RES, *end[:2], base + 1.0) + _value(to_goal, RES, *nose, base + 1.0)
+            value_at(to_goal, RES, *end[:2], base + 1.0) + value_at(to_goal, RES, *nose, base + 1.0)
         )
-        cost += c["path"] * _value(to_path, RES, *end[:2], 1.0) + c["nose"] * _value(to_path, RES, *nose, 1.0)
+        cost += c["path"] * value_at(to_path, RES, *end[:2], 1.0) + c["nose"] * value_at(
+            to_path, RES, *nose, 1.0
+        )
         cost += c["back"] * max(-v, 0.0) * c["time"] - c["room"] * min(room, COMFORT_M)
         cost += c["occupied"] * 252.0 * min(1.0, math.exp(-3.0 * (room - samples.inscribed)))
         if cost < best[0]:

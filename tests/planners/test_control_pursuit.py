@@ -21,10 +21,13 @@ from turtlebag.planners.control.pursuit import (
     TURN_FIRST_RAD,
     TURNED_RAD,
     Pursuit,
-    _in_grid,
+    grid_pose,
+    regulated_speed,
+    turning_speed,
 )
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
-from turtlebag.planners.footprint import footprint_clearance
+from turtlebag.planners.footprint import footprint_clearance, sample_footprint
+from turtlebag.planners.smoothing import path_length
 
 DT = 0.05
 PROMPT = replace(BURGER, max_v=0.5, max_w=2.0, max_dv=1e3, max_dw=1e5)
@@ -51,18 +54,21 @@ def test_it_steers_the_arc_to_the_point_its_speed_looks_ahead_to(last_v, off):
     bearing = math.atan2(-off, reach) - 0.1
     curvature = 2.0 * math.sin(bearing) / math.hypot(reach, off)
     assert found.w / found.v == pytest.approx(curvature)
-    assert found.v == pytest.approx(pursuit._regulated_speed(9.0, curvature, pursuit.remaining()))
+    assert found.v == pytest.approx(regulated_speed(pursuit.limits, 9.0, curvature, pursuit.remaining()))
     assert pursuit.remaining() == pytest.approx(4.2)
 
 
 def test_where_it_is_is_looked_for_from_a_little_behind_to_a_metre_ahead():
     out_and_back = np.vstack([line(1.0, 4.0, 61).xy, line(4.0, 1.0, 61, 4.1).xy])
     pursuit = following(SE2.from_xyt(*out_and_back.T, np.zeros(122)))
-    pursuit._s = 1.0
-    pursuit.command(SE2.from_xyt(2.3, 4.1, 0.0), Twist(0.2, 0.0), ROOM)
-    assert pursuit._s == pytest.approx(1.3)
-    pursuit.command(SE2.from_xyt(1.0, 4.0, 0.0), Twist(0.2, 0.0), ROOM)
-    assert pursuit._s == pytest.approx(1.3 - LOOKAHEAD_M[0], abs=0.06)
+    length = pursuit.remaining()
+    for x, y, along, off in (
+        (2.0, 4.0, 1.0, 1e-6),
+        (2.3, 4.1, 1.3, 1e-6),
+        (1.0, 4.0, 1.3 - LOOKAHEAD_M[0], 0.06),
+    ):
+        pursuit.command(SE2.from_xyt(x, y, 0.0), Twist(0.2, 0.0), ROOM)
+        assert length - pursuit.remaining() == pytest.approx(along, abs=off)
 
 
 def test_it_turns_to_the_path_beyond_one_bearing_and_drives_on_below_another():
@@ -77,19 +83,19 @@ def test_it_turns_to_the_path_beyond_one_bearing_and_drives_on_below_another():
         found = pursuit.command(SE2.from_xyt(1.8, 4.0, yaw), last, ROOM)
         assert pursuit.state == state
         if state == "turn":
-            assert (found.v, found.w) == (0.0, pytest.approx(pursuit._turning_speed(-yaw)))
+            assert (found.v, found.w) == (0.0, pytest.approx(turning_speed(pursuit.limits, -yaw)))
         else:
             assert found.v > 0.0
     # still rolling, it lets the turn die down first
     pursuit.state = "turn"
-    assert pursuit._along_path(1.8, 4.0, 1.0, Twist(0.3, 0.4), ROOM) == Twist(0.0, 0.2)
-    assert pursuit._along_path(1.8, 4.0, 1.0, Twist(-0.011, 0.4), ROOM) == Twist(0.0, 0.2)
-    assert pursuit._along_path(1.8, 4.0, 1.0, Twist(0.01, 0.4), ROOM).w == pursuit._turning_speed(-1.0)
+    pose = SE2.from_xyt(1.8, 4.0, 1.0)
+    assert pursuit.command(pose, Twist(0.3, 0.4), ROOM) == Twist(0.0, 0.2)
+    assert pursuit.command(pose, Twist(-0.011, 0.4), ROOM) == Twist(0.0, 0.2)
+    assert pursuit.command(pose, Twist(0.01, 0.4), ROOM).w == turning_speed(pursuit.limits, -1.0)
 
 
 def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
-    pursuit, top = following(), 0.5
-    pursuit._s = 2.0
+    limits, top = Pursuit(PROMPT, DT).limits, 0.5
     for room_m, curvature, remaining in (
         (9.0, 0.0, 3.0), (9.0, 1.0, 3.0), (9.0, -4.0, 3.0), (0.15, 0.0, 3.0), (0.01, 0.5, 3.0),
         (-1.0, 0.0, 3.0), (9.0, 0.0, 1e-4), (9.0, 60.0, 3.0), (9.0, -2.3, 3.0),
@@ -99,10 +105,9 @@ def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
         if room_m < NEAR_M:
             v = min(v, top * max(SLOWEST, room_m / NEAR_M))
         v = min(v, math.sqrt(1.2 * 0.8 * 1e3 * remaining), 2.0 / max(bend, 1e-6))
-        assert pursuit._regulated_speed(room_m, curvature, remaining) == pytest.approx(v)
-    fast = Pursuit(replace(PROMPT, max_v=2.0), DT)
-    fast.set_path(line())
-    assert fast._regulated_speed(9.0, 0.5, 3.0) == pytest.approx(math.sqrt(MAX_LATERAL / 0.5))
+        assert regulated_speed(limits, room_m, curvature, remaining) == pytest.approx(v)
+    fast = Pursuit(replace(PROMPT, max_v=2.0), DT).limits
+    assert regulated_speed(fast, 9.0, 0.5, 3.0) == pytest.approx(math.sqrt(MAX_LATERAL / 0.5))
 
 
 def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
@@ -115,37 +120,39 @@ def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
     ):
         pursuit = Pursuit(PROMPT, DT)
         pursuit.set_path(first)
-        pursuit.state, pursuit._s = state, 2.0
+        pursuit.state = "follow"
+        pursuit.command(SE2.from_xyt(1.9, 4.0, 0.0), Twist(), ROOM)
+        assert pursuit.remaining() == pytest.approx(4.1)
+        pursuit.state = state
         pursuit.set_path(second)
-        assert (pursuit.state, pursuit._s) == (expected, 0.0)
+        assert pursuit.state == expected
+        assert pursuit.remaining() == pytest.approx(path_length(second.xy))
     assert Pursuit(PROMPT, DT).remaining() == 0.0
     still = Pursuit(PROMPT, DT)
     assert still.command(SE2.identity(), Twist(), ROOM) == Twist()
 
 
 def test_turning_is_fast_while_far_off_and_slow_enough_to_stop_on_the_mark():
-    robot = replace(BURGER, max_w=1.0, max_dw=2.0)
-    pursuit = Pursuit(robot, DT)
+    limits = Pursuit(replace(BURGER, max_w=1.0, max_dw=2.0), DT).limits
     for error in (3.0, 0.9, 0.5, 0.3, 0.15, 0.01, 0.001):
         size = min(1.0, 3.0 * error)
-        assert pursuit._turning_speed(error) == pytest.approx(size)
-        assert pursuit._turning_speed(-error) == pytest.approx(-size)
+        assert turning_speed(limits, error) == pytest.approx(size)
+        assert turning_speed(limits, -error) == pytest.approx(-size)
 
 
 @pytest.mark.parametrize("backwards", [False, True])
 @pytest.mark.parametrize("aside", [0.0, 0.02, -0.03])
 @pytest.mark.parametrize("gap", [0.05, 0.11, 0.4])
 def test_it_settles_along_its_heading_by_a_share_of_the_gap(gap, aside, backwards):
-    robot = replace(PROMPT, max_dv=0.3)
-    pursuit = Pursuit(robot, DT)
+    pursuit = Pursuit(PROMPT, DT)
     pursuit.set_path(line(5.9, 6.0, 5))
     pursuit.state = "settle"
     x = 6.0 + gap if backwards else 6.0 - gap
-    found = pursuit._onto_goal(x, 4.0 + aside, 0.0, Twist())
+    found = pursuit.command(SE2.from_xyt(x, 4.0 + aside, 0.0), Twist(), ROOM)
     distance = math.hypot(gap, aside)
     steer = math.atan2(aside if backwards else -aside, gap)
     if abs(steer) > TURNED_RAD:
-        assert (found.v, found.w) == (0.0, pytest.approx(pursuit._turning_speed(steer)))
+        assert (found.v, found.w) == (0.0, pytest.approx(turning_speed(pursuit.limits, steer)))
         return
     v = min(0.25, 1.5 * distance)
     assert found.v == pytest.approx(-v if backwards else v)
@@ -161,18 +168,18 @@ def test_near_enough_it_turns_to_the_goals_yaw_and_drifting_off_it_settles_again
     ):  # fmt: skip
         pursuit.set_path(poses)
         pursuit.state = "settle"
-        found = pursuit._onto_goal(6.0 + dx, 4.0 + dy, 0.0, Twist())
+        found = pursuit.command(SE2.from_xyt(6.0 + dx, 4.0 + dy, 0.0), Twist(), ROOM)
         assert pursuit.state == state
         if state == "align":
-            assert found == Twist(0.0, pursuit._turning_speed(0.5))
+            assert found == Twist(0.0, turning_speed(pursuit.limits, 0.5))
     pursuit.state = "align"
-    assert pursuit._onto_goal(6.0, 4.0, 0.5 - 0.011, Twist()) == Twist()
+    assert pursuit.command(SE2.from_xyt(6.0, 4.0, 0.5 - 0.011), Twist(), ROOM) == Twist()
     assert pursuit.state == "arrived"
-    assert pursuit._onto_goal(6.0, 4.0, 0.5 + 0.013, Twist()).w < 0.0
+    assert pursuit.command(SE2.from_xyt(6.0, 4.0, 0.5 + 0.013), Twist(), ROOM).w < 0.0
     assert pursuit.state == "align"
-    assert pursuit._onto_goal(6.0, 4.031, 0.5, Twist(0.011, 0.0)).v == 0.0
+    assert pursuit.command(SE2.from_xyt(6.0, 4.031, 0.5), Twist(0.011, 0.0), ROOM).v == 0.0
     assert pursuit.state == "arrived"
-    assert pursuit._onto_goal(6.0, 4.031, 0.2, Twist(0.01, 0.0)) == Twist()
+    assert pursuit.command(SE2.from_xyt(6.0, 4.031, 0.2), Twist(0.01, 0.0), ROOM) == Twist()
     assert pursuit.state == "settle"
 
 
@@ -181,12 +188,14 @@ def test_room_is_that_of_the_footprint_in_a_turned_map():
     lethal = np.zeros((60, 80), dtype=bool)
     lethal[30, 40] = True
     turned = Costmap(lethal, 0.05, T)
-    pursuit = following()
-    for pose in (SE2.from_xyt(1.9, 1.4, 0.3), SE2.from_xyt(1.7, 1.53, 1.3)):
+    for pose in (SE2.from_xyt(1.9, 1.4, 0.3), SE2.from_xyt(1.8, 1.53, 1.3)):
         x, y, yaw = (T @ pose).xyt
+        pursuit = following(T @ pose @ line(0.0, 3.0, 61, 0.0))
         expected = footprint_clearance(turned.clearance, 0.05, pursuit.samples, *pose.xyt.tolist())
-        assert pursuit._room(x, y, yaw, turned) == pytest.approx(expected, abs=1e-6)
-        back = _in_grid(turned, x, y, yaw)
+        assert SLOWEST * NEAR_M < expected < NEAR_M
+        speed = pursuit.command(T @ pose, Twist(0.1, 0.0), turned).v
+        assert speed == pytest.approx(PROMPT.max_v * expected / NEAR_M, abs=1e-6)
+        back = grid_pose(turned, x, y, yaw)
         assert back[:2] == pytest.approx(tuple(pose.xy))
         assert wrapped(back[2] - float(pose.yaw)) == pytest.approx(0.0)
 
@@ -262,7 +271,7 @@ def test_the_monitor_allows_the_speed_that_stops_within_the_free_way(v, w):
         lethal = np.zeros((40, 60), dtype=bool)
         lethal[:, 24] = True
         field = Costmap(lethal, 0.05, SE2.identity()).clearance
-        s = monitor._samples
+        s = sample_footprint(BURGER)
         clear = lambda p: footprint_clearance(field, 0.05, s, *p)  # noqa: B023, E731
         at = (x, 1.0, 0.2)
         rooms = [clear(moved(*at, v, w, part * horizon)) for part in (0.5, 1.0)]

@@ -11,13 +11,20 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import SNAP_M, Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
-from turtlebag.planners.obstacle_layer import NEVER, GridBeams, Marking, ObstacleLayer, _mark_and_clear
+from turtlebag.planners.obstacle_layer import (
+    NEVER,
+    REACH_M,
+    GridBeams,
+    Marking,
+    ObstacleLayer,
+    mark_and_clear,
+)
 from turtlebag.planners.rolling_costmap import (
     RIM_M,
     RollingLayer,
-    _free_floor,
-    _rim,
-    _shifted,
+    free_floor,
+    rim_cells,
+    shifted,
 )
 from turtlebag.planners.tasks.frontier import SPENT_M, VIEW_M, frontiers, next_view
 
@@ -63,7 +70,7 @@ def test_sweeps_mark_and_clear_as_a_plain_loop_does(seed):
         x, y = rng.uniform(0.3, [3.1, 2.3])
         ends = np.vstack([rng.uniform(-1.0, [4.4, 3.6], (40, 2)), [[x, y]]])
         n_hits = int(rng.integers(15, 35))
-        _mark_and_clear(seen, hits, clearance, RES, GridBeams(x, y, ends, n_hits, 1.4, 0.14), now)
+        mark_and_clear(seen, hits, clearance, RES, GridBeams(x, y, ends, n_hits, 1.4, 0.14), now)
         plain_sweep(*expected, clearance, x, y, ends, np.arange(41) < n_hits, now, 1.4, 0.14)
         np.testing.assert_array_equal(seen, expected[0])
         np.testing.assert_array_equal(hits, expected[1])
@@ -74,8 +81,7 @@ def empty(rows=40, cols=50, T=None):
     return Costmap(np.zeros((rows, cols), dtype=bool), RES, T or SE2.from_xyt(-1.0, 0.5, 0.3))
 
 
-def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
-    monkeypatch.setattr("turtlebag.planners.obstacle_layer.REACH_M", 0.35)
+def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits():
     config = Marking(hits=2, decay=5.0, known=0.0, obstacle_range=9.0)
     layer = ObstacleLayer(empty(), config)
     T = layer.static.T_map_grid
@@ -87,7 +93,9 @@ def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
     assert np.argwhere(layer.costmap.lethal).tolist() == [[30, 25]]
     near = np.hypot(*(np.indices((40, 50)) - np.array([30, 25])[:, None, None])) * RES
     expected = np.minimum(layer.static.clearance, near)
-    window = np.abs(np.indices((40, 50)) - np.array([30, 25])[:, None, None]).max(axis=0) <= 4
+    window = np.abs(np.indices((40, 50)) - np.array([30, 25])[:, None, None]).max(axis=0) <= round(
+        REACH_M / RES
+    )
     np.testing.assert_allclose(layer.costmap.clearance[window], expected[window], atol=1e-6)
     np.testing.assert_array_equal(layer.costmap.clearance[~window], layer.static.clearance[~window])
     layer.update(6.0, origin, post[:0], np.zeros((0, 2)))
@@ -114,22 +122,25 @@ def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
 
 
 @pytest.mark.parametrize("marked", [[(0, 0)], [(39, 49)], [(0, 7), (12, 49)], [(20, 20), (22, 25)]])
-def test_near_marked_cells_the_clearance_is_that_of_both(marked, monkeypatch):
-    monkeypatch.setattr("turtlebag.planners.obstacle_layer.REACH_M", 0.8)
-    layer = ObstacleLayer(empty())
+def test_near_marked_cells_the_clearance_is_that_of_both(marked):
+    layer = ObstacleLayer(empty(), Marking(hits=1, known=0.0, obstacle_range=99.0))
     mask = np.zeros((40, 50), dtype=bool)
     mask[tuple(np.transpose(marked))] = True
     exact = clearance_field(layer.static.lethal | mask, RES)
     away = ndimage.distance_transform_edt(~mask) * RES
-    found = layer._combined(mask).clearance
-    np.testing.assert_allclose(found[away < 0.8], exact[away < 0.8], atol=1e-6)
+    T_map_grid = layer.static.T_map_grid
+    ends = T_map_grid @ ((np.array(marked)[:, ::-1] + 0.5) * RES)
+    layer.update(0.0, T_map_grid @ SE2.from_xyt(2.45, 3.05, 0.0), ends, np.zeros((0, 2)))
+    np.testing.assert_array_equal(layer.costmap.lethal, mask)
+    found = layer.costmap.clearance
+    np.testing.assert_allclose(found[away < REACH_M], exact[away < REACH_M], atol=1e-6)
     assert np.all(found <= layer.static.clearance)
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(0, 0), (2, -3), (-4, 1), (6, 0), (0, 7), (-9, 9), (5, 6)])
 def test_shifted_values_keep_their_place_in_the_world(rows, cols):
     values = np.arange(49.0).reshape(7, 7)
-    found = _shifted(values, rows, cols, -1.0)
+    found = shifted(values, rows, cols, -1.0)
     for r, c in np.ndindex(7, 7):
         inside = 0 <= r + rows < 7 and 0 <= c + cols < 7
         assert found[r, c] == (values[r + rows, c + cols] if inside else -1.0)
@@ -139,7 +150,7 @@ def test_shifted_values_keep_their_place_in_the_world(rows, cols):
 def test_the_rim_is_the_ring_of_cells_so_far_inside(cells, inset):
     depth = np.minimum(np.arange(cells), np.arange(cells)[::-1])
     expected = np.argwhere(np.minimum.outer(depth, depth) == inset)
-    np.testing.assert_array_equal(_rim(cells, inset), expected)
+    np.testing.assert_array_equal(rim_cells(cells, inset), expected)
 
 
 def test_the_nearest_free_cell_is_that_of_the_least_gap_within_reach():
@@ -172,7 +183,7 @@ def test_the_window_lies_on_whole_cells_about_its_centre_and_moves_when_it_must(
         assert layer.static.T_map_grid.x == pytest.approx(-1.8 + moved * RES)
         assert layer.costmap.clearance_at(np.array([1.05, 0.55])) == 0.0
     assert layer.static.T_map_grid.y == pytest.approx(0.8 - 2.0)
-    floor = _free_floor(np.array([3.0, -4.0]), 7, 0.2)
+    floor = free_floor(np.array([3.0, -4.0]), 7, 0.2)
     np.testing.assert_allclose(floor.T_map_grid.xyt, [0.6, -0.8, 0.0])
     assert (floor.lethal.shape, floor.lethal.any(), floor.resolution) == ((7, 7), False, 0.2)
     assert window(side=0.1).static.lethal.shape == (2, 2)

@@ -12,12 +12,12 @@ from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import (
     FootprintSamples,
-    _inner_points,
-    _inside,
     disc_segment_free,
     field_at,
     footprint_clearance,
     footprint_free,
+    in_polygon,
+    inner_points,
     path_clearance,
     sample_footprint,
 )
@@ -143,10 +143,10 @@ def test_inside_a_convex_polygon_is_behind_all_its_edges(seed):
     corners = points[hull.vertices]
     for x, y in rng.normal(size=(200, 2)):
         expected = bool(np.all(hull.equations[:, :2] @ [x, y] + hull.equations[:, 2] <= 0.0))
-        assert _inside(corners, x, y) == expected
+        assert in_polygon(corners, x, y) == expected
     square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
     for x, y in ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5), (1.0, 1.0), (0.0, 0.5)):
-        assert _inside(square, x, y)
+        assert in_polygon(square, x, y)
 
 
 def test_outline_points_are_as_near_as_asked_and_the_inner_ones_lie_inside():
@@ -154,7 +154,7 @@ def test_outline_points_are_as_near_as_asked_and_the_inner_ones_lie_inside():
     samples = sample_footprint(model, 0.03)
     assert samples.inscribed == model.inscribed_radius
     assert samples.circumscribed == model.circumscribed_radius
-    inner = _inner_points(KITE, 0.03)
+    inner = inner_points(KITE, 0.03)
     outline = samples.points[: -len(inner)]
     np.testing.assert_array_equal(samples.points[-len(inner) :], inner)
     gaps = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)

@@ -17,13 +17,13 @@ from turtlebag.planners.lattice_search import (
     SLIP,
     WIDE,
     Floor,
-    _reaches,
-    _stands,
-    _steps,
     ends,
     flood,
+    next_states,
     number_cells,
+    reaches,
     shortest,
+    stands_free,
 )
 
 RES = 0.05
@@ -131,7 +131,7 @@ def test_a_step_leads_to_a_cell_that_is_not_blocked_or_turns_on_a_narrow_one(nea
                 continue
             if way == 1 or not number == WIDE == numbers[r1, c1]:
                 expected.append(((r1, c1, h), math.hypot(dc, dr) * (1.0 if way == 1 else BACKWARDS)))
-        n = _steps(floor, r, c, k, near, out, costs)
+        n = next_states(floor, r, c, k, near, out, costs)
         found = zip(map(tuple, out[:n].tolist()), costs[:n].tolist(), strict=True)
         assert sorted(found) == sorted(expected)
 
@@ -218,7 +218,7 @@ def test_the_states_near_a_pose_are_those_straight_to_be_reached(seed):
             if (wide and k > 0) or abs(math.remainder(yaw - pose[2], 2 * math.pi)) > 2.5 * 2 * math.pi / N:
                 continue
             x, y = (c + 0.5) * RES, (r + 0.5) * RES
-            driven = _reaches(floor.ground, pose, x, y, yaw)
+            driven = reaches(floor.ground, pose, x, y, yaw)
             if driven or moves(floor.ground, tuple(pose), (x, y, yaw)):
                 gap = 1.5 * math.hypot(x - pose[0], y - pose[1]) / RES
                 expected[r, c, k] = gap + (0.0 if driven else SLIP)
@@ -243,8 +243,8 @@ def test_a_pose_is_reached_by_a_turn_a_drive_and_a_turn_either_way_round(seed):
             and turns(ground, there, way, yaw)
             for way in (ahead, ahead + math.pi)
         )
-        assert _reaches(ground, pose, x, y, yaw) == expected
-        assert _reaches(ground, pose, pose[0], pose[1], yaw) == turns(ground, pose[:2], pose[2], yaw)
+        assert reaches(ground, pose, x, y, yaw) == expected
+        assert reaches(ground, pose, pose[0], pose[1], yaw) == turns(ground, pose[:2], pose[2], yaw)
         told[expected] += 1
     assert min(told.values()) > 15
 
@@ -260,8 +260,8 @@ def test_what_stands_or_turns_is_looked_up_once_and_remembered(seed):
         here, number = floor.numbers[r, c] != BLOCKED and floor.stands(r, c, k), floor.numbers[r, c]
         turned = here if number < 0 else moves(ground, (x, y, YAWS[k]), (x, y, YAWS[h]))
         for _ in range(2):
-            assert _stands(known, r, c, k, k) == here
-            assert _stands(known, r, c, k, h) == turned
+            assert stands_free(known, r, c, k, k) == here
+            assert stands_free(known, r, c, k, h) == turned
         if number >= 0:
             assert known.stands[number * N + k] == (1 if here else 2)
             assert known.turns[number * N + k] == (1 if turned else 2)

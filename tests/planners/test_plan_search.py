@@ -7,21 +7,20 @@ import pytest
 
 from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners import global_plan
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.global_plan import (
+    DiscSearch,
     NoPath,
     PlanConfig,
-    _blocked_until,
-    _grown,
-    _Search,
-    _without_repeats,
+    blocked_until,
+    cell_padded,
     plan_path,
+    without_repeats,
 )
 from turtlebag.planners.grid_distance import descend, grid_distance
-from turtlebag.planners.ompl_planner import _bounds, iteration_limit
+from turtlebag.planners.ompl_planner import OmplConfig, floor_bounds, iteration_limit
 from turtlebag.planners.smoothing import densify, path_length, shortcut
 
 RES = 0.05
@@ -32,7 +31,7 @@ def cluttered(seed, share=0.01, rows=50, cols=60):
 
 
 def search(costmap, radius=0.12):
-    return _Search(costmap, radius, PlanConfig())
+    return DiscSearch(costmap, radius, PlanConfig())
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -101,64 +100,56 @@ def test_a_way_around_a_wall_s_end_drawn_tight_is_two_tangents_and_the_arc_betwe
         assert path_length(tight) == pytest.approx(string, rel=2e-3)
 
 
-def test_the_planner_is_told_when_to_stop_and_the_way_over_the_cells_stands_in_for_it(monkeypatch):
-    found = search(Costmap(np.zeros((50, 60), dtype=bool), RES, SE2.identity()), radius=0.1)
-    start, goal = (10, 10), (30, 40)
-    a, b = found.center(start), found.center(goal)
-    asked = []
-    monkeypatch.setattr(global_plan, "shortcut", lambda field, res, radius, path: path)
-
-    def solve(floor, one, two, enough, config, seed):
-        np.testing.assert_array_equal(one, a)
-        np.testing.assert_array_equal(two, b)
-        assert seed == 70
-        over_cells = path_length(found.grid_path(start, goal))
-        assert enough == pytest.approx(1.02 * over_cells)
-        asked.append(floor.inside)
-        return told[-1]
-
-    monkeypatch.setattr(global_plan, "solve", solve)
-    told = []
-    for way, by in ((None, "grid"), (np.array([a, [0.6, 2.2], b]), "BITstar"), (np.array([a, b]), "BITstar")):
-        told.append(way)
+def test_ompl_searches_the_floor_of_short_ways_and_the_way_over_the_cells_stands_in_for_it():
+    lethal = np.zeros((50, 60), dtype=bool)
+    lethal[:40, 25] = True
+    costmap, start, goal = Costmap(lethal, RES, SE2.identity()), (10, 10), (20, 55)
+    for iterations, by in ((1, "grid"), (4000, "BITstar")):
+        config = PlanConfig(ompl=OmplConfig(iterations=iterations))
+        found = DiscSearch(costmap, 0.1, config)
         path, planner = found.run(start, goal, 70)
         assert planner == by
-    assert path_length(path) == pytest.approx(math.dist(a, b), rel=1e-3)
+        np.testing.assert_allclose(path[[0, -1]], [found.center(start), found.center(goal)])
+        shortest = path_length(found.tightened(found.grid_path(start, goal)))
+        assert path_length(path) == pytest.approx(shortest, rel=5e-3 if by == "BITstar" else 1e-9)
+        path, planner = found.run(goal, goal, 1)
+        np.testing.assert_array_equal(path, [found.center(goal)] * 2)
+        assert planner == "BITstar"
     # only floor on some way at most a tenth longer than the shortest, and two cells, is searched
     limit = 1.1 * float(grid_distance(found.free, *goal, np.inf)[start]) + 2.0
     through = grid_distance(found.free, *start, np.inf) + grid_distance(found.free, *goal, np.inf)
-    np.testing.assert_array_equal(asked[-1], through <= limit)
-    path, planner = found.run(goal, goal, 1)
-    np.testing.assert_array_equal(path, [b, b])
-    assert planner == "BITstar"
+    floor = found.informed_floor(start, goal)
+    np.testing.assert_array_equal(floor.inside, through <= limit)
+    assert 0 < floor.inside.sum() < found.free.sum()
+    assert (floor.resolution, floor.radius) == (RES, 0.1)
 
 
 def test_repeated_points_are_dropped_and_two_are_kept():
     points = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [1.0, 1e-7], [1.0, 1.0]])
-    np.testing.assert_array_equal(_without_repeats(points), points[[0, 2, 4]])
-    np.testing.assert_array_equal(_without_repeats(points[:2]), points[:2])
-    np.testing.assert_array_equal(_without_repeats(points[2:4]), points[[2, 3]])
+    np.testing.assert_array_equal(without_repeats(points), points[[0, 2, 4]])
+    np.testing.assert_array_equal(without_repeats(points[:2]), points[:2])
+    np.testing.assert_array_equal(without_repeats(points[2:4]), points[[2, 3]])
 
 
 def test_a_path_is_blocked_until_its_last_touch():
     costmap = Costmap(np.zeros((50, 60), dtype=bool), RES, SE2.identity())
     costmap.lethal[20, 30] = True
     line = SE2.from_xyt(np.linspace(0.5, 2.5, 41), np.full(41, 1.025), np.zeros(41))
-    length = _blocked_until(costmap, BURGER.footprint, line)
+    length = blocked_until(costmap, BURGER.footprint, line)
     # the tail passes the post's centre at x = 1.525 when the robot is at 1.63
     assert length == pytest.approx(1.65 - 0.5, abs=0.051)
-    assert _blocked_until(costmap, BURGER.footprint, line[:10]) is None
+    assert blocked_until(costmap, BURGER.footprint, line[:10]) is None
     first = free_from(Ground(costmap.clearance, RES, BURGER.footprint), line.xyt)
     assert length == pytest.approx(path_length(line.xy[: first + 1]))
     beside = SE2.from_xyt(1.025, 1.0, 0.0)
-    grown = _grown(costmap, BURGER.footprint, (beside, beside))
+    grown = cell_padded(costmap, BURGER.footprint, (beside, beside))
     assert np.ptp(grown, axis=0) == pytest.approx(np.ptp(BURGER.footprint, axis=0) + RES)
     tight = SE2.from_xyt(1.525 - 0.041 - 0.01, 1.025, 0.0)
     assert footprint_free(costmap.clearance, RES, BURGER.footprint, *tight.xyt.tolist())
-    assert _grown(costmap, BURGER.footprint, (beside, tight)) is BURGER.footprint
+    assert cell_padded(costmap, BURGER.footprint, (beside, tight)) is BURGER.footprint
 
 
-def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_fit(monkeypatch):
+def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_fit():
     """Two gaps in a wall: a narrow one on the straight way, a wide one far off it."""
     lethal = np.zeros((100, 80), dtype=bool)
     lethal[[0, -1], :] = lethal[:, [0, -1]] = True
@@ -180,7 +171,6 @@ def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_
     lethal[44:57, 14:27] = True
     lethal[49:52, 19:22] = False
     walled = Costmap(lethal, RES, SE2.identity())
-    monkeypatch.setattr("turtlebag.planners.global_plan.SNAP_M", 0.1)
     with pytest.raises(NoPath, match="the robot is too close to an obstacle"):
         plan_path(walled, BURGER, start, goal, PlanConfig(), 1)
 
@@ -198,7 +188,7 @@ def test_ompl_searches_the_box_of_the_floor_and_so_many_calls():
 
     inside = np.zeros((50, 60), dtype=bool)
     inside[7:20, 11] = inside[9, 11:31] = True
-    box = _bounds(type("ob", (), {"RealVectorBounds": Box}), inside, RES)
+    box = floor_bounds(type("ob", (), {"RealVectorBounds": Box}), inside, RES)
     assert box.low == pytest.approx([11 * RES, 7 * RES])
     assert box.high == pytest.approx([31 * RES, 20 * RES])
     condition = iteration_limit(3)

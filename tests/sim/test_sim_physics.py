@@ -1,12 +1,15 @@
 """The robot is moved by its wheels only, and its odometry can be wrong."""
 
+from contextlib import closing
+
 import numpy as np
+import pybullet
 import pytest
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.sim.bullet import bullet
+from turtlebag.sim.physics import Physics
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator, stamp_of
 from turtlebag.sim.worlds import load_world
@@ -100,19 +103,19 @@ def test_the_pose_is_never_set_after_the_reset(monkeypatch):
         def forbidden(*args, **kwargs):
             raise AssertionError("the simulation moved a body by hand")
 
-        for name in dir(bullet):
+        for name in dir(pybullet):
             if name.startswith(("resetBase", "resetJoint", "applyExternal", "createConstraint")):
-                monkeypatch.setattr(bullet, name, forbidden)
+                monkeypatch.setattr(pybullet, name, forbidden)
         for _ in range(30):
             simulator.step(Twist(0.2, 0.3))
         assert np.hypot(*(simulator.truth.T_world_base.xy - WORLD.spawn.xy)) > 0.1
 
 
 def test_masses_and_inertia_in_bullet_are_the_specified_ones():
-    with Simulator(EMPTY, BURGER, SimConfig(), 0) as simulator:
-        simulator.reset()
-        body, client = simulator._physics.body, simulator._physics.client
-        infos = [bullet.getDynamicsInfo(body, link, physicsClientId=client) for link in (-1, 0, 1)]
+    with closing(Physics(EMPTY.shapes, [], BURGER, SimConfig().physics)) as physics:
+        physics.reset(EMPTY.spawn)
+        body, client = physics.body, physics.client
+        infos = [pybullet.getDynamicsInfo(body, link, physicsClientId=client) for link in (-1, 0, 1)]
         assert sum(info[0] for info in infos) == pytest.approx(1.0017, abs=1e-4)
         assert infos[1][2] == pytest.approx(BURGER.wheels.inertia)
         com = np.average(
@@ -207,8 +210,10 @@ def test_the_robot_drives_under_a_table():
 def test_a_touch_of_one_physics_step_counts_wherever_in_the_control_step_it_is(monkeypatch):
     with Simulator(WORLD, BURGER, SimConfig(), 0) as simulator:
         simulator.reset(SE2.from_xyt(-2.5, -0.5, np.pi))
-        looks = iter([set(), {0}, *[set()] * 100])
-        monkeypatch.setattr(simulator._physics, "touched", lambda: next(looks))
+        # Bullet's contact points with every body: the gap is below nought, and pushes.
+        touch = [(0, 0, body, -1, -1, (), (), (), -1e-3, 1.0) for body in range(50)]
+        looks = iter([[], touch, *[[]] * 100])
+        monkeypatch.setattr(pybullet, "getContactPoints", lambda **of: next(looks))
         simulator.step(Twist())
         assert simulator.truth.contact_visible
         simulator.step(Twist())
@@ -219,8 +224,8 @@ def test_contacts_are_not_looked_for_far_from_everything(monkeypatch):
     with Simulator(WORLD, BURGER, SimConfig(), 0) as simulator:
         simulator.reset(SE2.from_xyt(-1.65, -0.5, 0.0))
 
-        def refuse() -> set[int]:
+        def refuse(**of: int) -> None:
             raise AssertionError("nothing is near")
 
-        monkeypatch.setattr(simulator._physics, "touched", refuse)
+        monkeypatch.setattr(pybullet, "getContactPoints", refuse)
         simulator.step(Twist(0.1, 0.0))

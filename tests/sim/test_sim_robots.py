@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import yaml
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Twist
 from turtlebag.sim.robots import FOLDER, load_robot, robot_names
 from turtlebag.sim.simulator import SimConfig, Simulator
@@ -82,20 +81,3 @@ def test_a_users_own_robot_is_one_file(tmp_path):
         scans = [o.scan for o in (simulator.step(Twist(0.5, 0.0)) for _ in range(36)) if o.scan is not None]
         assert scans[0].ranges.shape == (180,)
         assert simulator.truth.twist.v == pytest.approx(0.5, rel=0.03)
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda data: data.pop("wheels"), "wheels"),
-        (lambda data: data["limits"].update(max_v=-1.0), "max_v"),
-        (lambda data: data["limits"].update(max_speed=1.0), "max_speed"),
-        (lambda data: data["lidar"].update(rate_hz=7.0), "rate_hz"),
-        (lambda data: data["parts"].clear(), "parts"),
-    ],
-)
-def test_a_bad_robot_file_is_one_line_with_the_key(tmp_path, change, named):
-    with pytest.raises(InputError, match=named) as caught:
-        load_robot(own(tmp_path, change))
-    assert "mine.yaml" in str(caught.value)
-    assert "\n" not in str(caught.value)

@@ -1,6 +1,7 @@
 """Teleop scripts in any world: their routes, their motion, and that they touch nothing."""
 
 import itertools
+import time
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.sim.raycast import distance_to_point
+from turtlebag.sim.raycast import distance_to_point, roomiest
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.routes import EXACT_SIDE_M, ROUTES, RoutePlanner, random_goals, route
 from turtlebag.sim.script_driver import Stuck
@@ -51,12 +52,6 @@ def test_built_in_scripts_load_in_every_kind_of_world():
     )
     for name, world in itertools.product(script_names(), ("turtlebot3_world", "maze:1,cells=4")):
         next(commands(load_script(name), load_world(world), BURGER, 1))
-
-
-def test_a_step_without_one_action_is_refused_with_the_actions_there_are(tmp_path):
-    (tmp_path / "idle.yaml").write_text("name: idle\nsteps:\n  - {wait: 1, spin: 1}\n")
-    with pytest.raises(InputError, match=r"one action \(drive, turn_deg, spin, wait, "):
-        load_script(str(tmp_path / "idle.yaml"))
 
 
 def test_steps_that_take_no_time_are_over_however_often_they_are_repeated():
@@ -154,12 +149,22 @@ def test_where_nothing_stands_the_tour_is_a_square():
         drive(script({"wall_follow": 5.0}), world="empty")
 
 
-def test_an_unknown_route_names_the_known():
-    with pytest.raises(InputError, match="perimeter_then_rooms"):
-        commands(script({"route": "scenic"}), load_world("turtlebot3_world"), BURGER, 1)
-
-
 @pytest.mark.slow
 def test_driving_into_a_wall_ends_as_stuck():
     with pytest.raises(Stuck):
         drive(script({"turn_deg": 180}, {"drive": 3.0}), contacts_allowed=True)
+
+
+def test_room_on_a_floor_of_thousands_of_things_is_found_in_seconds():
+    rng = np.random.default_rng(1)
+    ends = rng.uniform(-20.0, 20.0, (3000, 2))
+    segments = np.hstack([ends, ends + rng.normal(size=ends.shape) * 0.2])
+    circles = np.column_stack([rng.uniform(-20.0, 20.0, (500, 2)), rng.uniform(0.05, 0.3, 500)])
+    x, y = np.arange(-20.0, 20.0, 0.1), np.arange(-20.0, 20.05, 0.1)
+    roomiest(x[:1], y[:1], 0.05, 0.2, segments, circles)  # compiles it
+    begun = time.process_time()
+    room, points = roomiest(x, y, 0.05, 0.2, segments, circles)
+    assert time.process_time() - begun < 5.0
+    for r, c in rng.integers(0, 400, (50, 2)):
+        assert room[r, c] == distance_to_point(*points[r, c], segments, circles)
+        assert room[r, c] >= distance_to_point(x[c], y[r], segments, circles)

@@ -12,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.sim.rasterize import true_map
 from turtlebag.sim.shapes import as_rectangle, ball, box, contains, cylinder, mesh, prism
-from turtlebag.sim.worlds import load_world, world_names
+from turtlebag.sim.worlds import load_world
 
 FACTS = Path(__file__).parents[3] / "shared" / "facts"
 
@@ -92,37 +92,6 @@ def test_own_world_file_is_read(tmp_path):
     assert as_rectangle(world.shapes[0].polygon) == pytest.approx((2.0, 0.0, 1.0, 2.0, 0.5))
 
 
-@pytest.mark.parametrize(
-    ("shapes", "message"),
-    [
-        ("[{kind: box, name: b, center: [2, 0], size: [1, -2], z: [0, 1]}]", "size"),
-        ("[{kind: ball, center: [2, 0]}]", "kind"),
-        ("[{kind: prism, name: p, polygon: [[0, 0], [2, 0], [0.5, 0.5], [0, 2]], z: [0, 1]}]", "not convex"),
-        ("[{kind: prism, name: p, polygon: [[0, 0], [1, 1], [2, 2]], z: [0, 1]}]", "no area"),
-        ("[{kind: cylinder, center: [.nan, 0], radius: 1, z: [0, 1]}]", "center"),
-        ("{", "not valid YAML"),
-    ],
-)
-def test_a_bad_world_file_is_one_line_that_says_what_is_wrong(tmp_path, shapes, message):
-    with pytest.raises(InputError, match=message) as caught:
-        load_world(write_world(tmp_path, shapes))
-    assert "\n" not in str(caught.value)
-    assert "mine.yaml" in str(caught.value)
-
-
-def test_a_map_is_no_world_file(tmp_path):
-    path = tmp_path / "map.yaml"
-    path.write_text("image: map.pgm\nresolution: 0.05\n")
-    with pytest.raises(InputError, match=r"map\.yaml: not a world file: it has no 'shapes'$"):
-        load_world(str(path))
-
-
-def test_an_unknown_world_lists_the_known():
-    with pytest.raises(InputError, match="unknown world 'moon'") as caught:
-        load_world("moon")
-    assert all(name in str(caught.value) for name in world_names())
-
-
 def test_outlines_are_counter_clockwise_whatever_was_given():
     square = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])
     for outline in (square, square[::-1]):
@@ -164,15 +133,6 @@ def test_house_has_six_connected_rooms_and_no_way_out_with_the_gate_shut():
         np.all(outline.min(0) < (6.2, -3.0)) and np.all(outline.max(0) > (6.2, -3.0))
         for outline in shut.keepout
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["turtlebot3_house:gate=ajar", "turtlebot3_house:roof=off", "empty:gate=open"]
-)
-def test_an_unknown_option_of_a_world_is_refused(name):
-    with pytest.raises(InputError, match=r"gate|roof"):
-        load_world(name)
 
 
 def test_a_world_of_thousands_of_solids_is_mapped_in_seconds():

@@ -1,9 +1,7 @@
 """Unmapped clutter: where it may be, what it leaves free, that it repeats."""
 
 import numpy as np
-import pytest
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.shapes import sections
 from turtlebag.sim.worlds import load_world
@@ -45,25 +43,3 @@ def test_more_boxes_keep_the_first_and_leave_the_movers_alone():
     other = load_world("turtlebot3_world+clutter:8,boxes=2,movers=3")
     assert not np.array_equal(boxes_of(few)[0].polygon, boxes_of(other)[0].polygon)
     assert boxes_of(load_world("turtlebot3_world+clutter:7,boxes=0")) == []
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ("", "needs a seed"),
-        ("-1", "needs a seed"),
-        ("3,cars=2", "no option 'cars'"),
-        ("3,boxes=two", "whole number from 0 to 20"),
-        ("3,boxes=999", "whole number from 0 to 20"),
-        ("9" * 5000, "needs a seed"),
-        ("3,boxes=" + "9" * 5000, "whole number from 0 to 20"),
-    ],
-)
-def test_mistakes_are_named(settings, message):
-    with pytest.raises(InputError, match=message):
-        load_world(f"turtlebot3_world+clutter:{settings}")
-
-
-def test_a_floor_that_is_full_is_said():
-    with pytest.raises(InputError, match="no room for box"):
-        load_world("maze:1,cells=2,cell=1.2+clutter:1,boxes=20")

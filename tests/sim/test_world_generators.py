@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.shapes import contains
@@ -58,23 +57,3 @@ def test_a_world_file_may_ask_for_a_generated_world(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("generator: forest\nseed: 3\noptions: {density: 0.1}\n")
     assert outlines(load_world(str(path))) == outlines(load_world("forest:3,density=0.1"))
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("maze", "needs a seed, as in maze:7"),
-        ("maze:x", "needs a seed, as in maze:7"),
-        ("maze:-1", "needs a seed"),
-        ("maze:" + "9" * 5000, "needs a seed"),
-        ("forest:1,trees=3", r"no option 'trees' \(it has: density, size\)"),
-        ("forest:1,density=many", "must be a number from 0 to 5"),
-        ("maze:1,cells=1e9", "must be a whole number from 2 to 60"),
-        ("maze:1,cells=8.9", "must be a whole number from 2 to 60"),
-        ("maze:1,cells=inf", "must be a whole number from 2 to 60"),
-    ],
-)
-def test_a_bad_request_is_one_line(name, message):
-    with pytest.raises(InputError, match=message) as caught:
-        load_world(name)
-    assert "\n" not in str(caught.value)

@@ -215,25 +215,6 @@ def test_a_model_of_fuel_is_found_by_its_name_on_gazebos_paths(tmp_path, monkeyp
     assert one(tmp_path, body).center == pytest.approx((2.0, 0.0))
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        model("<box><size>1 1</size></box>"),
-        model("<box><size>1 1 inf</size></box>", "0 0 0 0.1 0 0"),
-        model("<box><size>1 1 1e-20</size></box>", "0 0 0 0.1 0 0"),
-        model("<cylinder><radius>-1</radius><length>1</length></cylinder>"),
-        model("<mesh><uri>none.stl</uri></mesh>"),
-        model("<box><size>1 1 1</size></box>", "0 0 0"),
-        model("<torus/>"),
-        "<model",
-    ],
-)
-def test_bad_sdf_is_one_line_with_the_files_name(tmp_path, body):
-    with pytest.raises(InputError, match=r"w\.world") as caught:
-        load_sdf(write(tmp_path, body))
-    assert "\n" not in str(caught.value)
-
-
 def test_pose_matrix_is_a_rotation_and_a_translation():
     matrix = pose_matrix("1 2 3 0.1 -0.2 0.3")
     np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-12)

@@ -66,13 +66,6 @@ def test_what_is_said_of_two_scans_holds_of_those_beside_them():
     assert edits.rejects(np.array([97, 10]), np.array([10, 96])).tolist() == [False, True]
 
 
-def test_scans_that_are_not_there_or_beside_each_other_are_refused():
-    with pytest.raises(InputError, match=r"add 1: test has no scan 150; .* numbered 0 to 149"):
-        run_slam(LOG, SlamConfig(), edits=Edits(add=(AddedLoop(scan=150, place=0, pose=(0, 0, 0)),)))
-    with pytest.raises(InputError, match=r"scans 40 and 44 were taken shortly after each other"):
-        KeyEdits.of(Edits(reject=(RejectedLoop(scan=40, place=44),)), np.arange(0, 400, 4))
-
-
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [

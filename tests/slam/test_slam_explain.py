@@ -68,14 +68,13 @@ def test_candidates_are_told_with_what_is_left_of_them_and_breaks_with_what_beca
     ]
 
 
-def test_the_worst_edges_and_places_come_first_and_the_graph_s_moves_are_measured(monkeypatch):
+def test_the_worst_edges_and_places_come_first_and_the_graph_s_moves_are_measured():
     result = made()
     edges = worst_edges(result.T_map_keys, result.constraints)
     assert [(e["i"], e["j"], e["kind"]) for e in edges] == [(1, 2, "step"), (2, 3, "step"), (0, 1, "step")]
     assert [e["sigmas"] for e in edges] == pytest.approx([3.0, 2.0, 1.0])
-    monkeypatch.setattr(explain, "WORST", 2)
-    assert len(worst_edges(result.T_map_keys, result.constraints)) == 2
-    places = explain._contradictions(result)
+    assert worst_edges(result.T_map_keys, result.constraints, 2) == edges[:2]
+    places = explain.contradicting_places(result, 2)
     assert [(p["i"], p["j"], p["violation"]) for p in places] == [(1, 3, 0.6), (0, 3, 0.3)]
     np.testing.assert_array_equal(places[0]["xy"], POSES.xy[1])
     away = np.hypot(*POSES.xy.T)

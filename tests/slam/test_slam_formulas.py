@@ -11,11 +11,10 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, random_poses, record
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.pipeline.slam import selfcheck
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.cloud_parts import joined_clouds
 from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.explain import _residual
+from turtlebag.pipeline.slam.explain import candidate
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.joint_refinement import (
     RADIUS_M,
@@ -26,7 +25,7 @@ from turtlebag.pipeline.slam.joint_refinement import (
 )
 from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
 from turtlebag.pipeline.slam.reregistration import carried_poses
-from turtlebag.pipeline.slam.selfcheck import _revisits, contradicted_keys, hypothesis_shares
+from turtlebag.pipeline.slam.selfcheck import contradicted_keys, hypothesis_shares, revisits_of
 from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
 from turtlebag.pipeline.slam.track import HYPOTHESES, Track
 
@@ -145,14 +144,13 @@ def test_passes_farther_apart_than_four_metres_are_laid_together_where_the_lidar
     assert np.linalg.norm(error[n:].mean(axis=0) - error[:n].mean(axis=0)) < 0.03
 
 
-def test_revisits_are_pairs_near_in_place_and_far_in_time(monkeypatch):
-    poses = SE2(random_poses(60, 7, std=1.0))
-    monkeypatch.setattr(selfcheck, "APART_KEYS", 20)
+def testrevisits_of_are_pairs_near_in_place_and_far_in_time():
+    poses = SE2(random_poses(80, 7, std=1.0))
     expected = [
-        (i, j) for i, j in itertools.combinations(range(60), 2)
-        if j - i >= 20 and np.linalg.norm(poses.xy[i] - poses.xy[j]) <= 1.5
+        (i, j) for i, j in itertools.combinations(range(80), 2)
+        if j - i >= 30 and np.linalg.norm(poses.xy[i] - poses.xy[j]) <= 1.5
     ]  # fmt: skip
-    assert [tuple(p) for p in _revisits(poses)] == expected
+    assert [tuple(p) for p in revisits_of(poses)] == expected
     assert len(expected) > 20
     pairs, share = np.array([[0, 5], [0, 6], [1, 5], [1, 7], [2, 7]]), np.array([0.9, 0.5, 0.1, 0.5, 0.51])
     # key 0 in both of its visits, 2 in its only one; 5 and 7 in one of two
@@ -196,7 +194,7 @@ def test_residuals_in_standard_deviations_and_the_graph_as_text(tmp_path):
     start[1:] += rng.normal(0.0, 0.1, (3, 3))
     np.testing.assert_allclose(SE2(optimise(SE2(start), exact).xyt).xy, poses.xy, atol=1e-4)
     found = place(2, 1, (poses[1].inverse() @ poses[2] @ SE2.from_xyt(0.3, 0.4, -0.2)).xyt)
-    left = _residual(found, poses)
+    left = candidate(found, poses)
     assert (left["residual_m"], left["residual_rad"]) == pytest.approx((0.5, 0.2))
-    in_space = _residual(place(2, 1, se3.lifted(SE2(found.T_j_i))), se3.lifted(poses))
-    assert in_space == pytest.approx({"residual_m": 0.5, "residual_rad": 0.2}, rel=0.02)
+    in_space = candidate(place(2, 1, se3.lifted(SE2(found.T_j_i))), se3.lifted(poses))
+    assert (in_space["residual_m"], in_space["residual_rad"]) == pytest.approx((0.5, 0.2), rel=0.02)

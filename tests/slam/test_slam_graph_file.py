@@ -14,7 +14,6 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam import graph_file
 from turtlebag.pipeline.slam.factors import Loop
 from turtlebag.pipeline.slam.graph_file import FILE, FORMAT, load_session, save_session
 from turtlebag.pipeline.slam.pose_graph import write_g2o
@@ -160,10 +159,14 @@ def test_a_map_goes_on_with_the_settings_it_was_made_with(saved, tmp_path):
         assert (on / name).read_bytes() == (both / name).read_bytes(), name
 
 
-def test_graph_of_another_version_is_to_be_mapped_again(tmp_path, result, monkeypatch):
-    monkeypatch.setattr(graph_file, "FORMAT", FORMAT - 1)
+def test_graph_of_another_version_is_to_be_mapped_again(tmp_path, result):
     save_session(tmp_path / FILE, result.session, SlamConfig())
-    monkeypatch.undo()
+    with np.load(tmp_path / FILE) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    this, other = (f'"format": {number}'.encode() for number in (FORMAT, FORMAT - 1))
+    about = bytes(arrays["about"])
+    assert about.count(this) == 1
+    np.savez(tmp_path / FILE, **arrays | {"about": np.frombuffer(about.replace(this, other), np.uint8)})
     told = rf"graph\.npz: .*format {FORMAT - 1}, but this version reads {FORMAT}; map its recording again"
     with pytest.raises(InputError, match=told):
         load_session(tmp_path)

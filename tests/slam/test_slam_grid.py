@@ -6,10 +6,9 @@ import pytest
 from tests.helpers.exact_rays import rectangle
 from tests.helpers.slam_rooms import LDS, around_the_room, recording
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
+from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam import occupancy
-from turtlebag.pipeline.slam.occupancy import BEHIND_CELLS, OccupancyConfig, make_grid, thinned
+from turtlebag.pipeline.slam.occupancy import BEHIND_CELLS, OccupancyConfig, make_grid, thinned, trimmed
 
 U, F, X = UNKNOWN, FREE, OCCUPIED
 
@@ -43,16 +42,18 @@ def thinned_by_numpy(cells, hits, behind, before):
     return np.where((out == X) & ~closes & np.any(short, axis=0), F, out)
 
 
-def test_a_map_that_could_not_be_read_again_is_not_made(monkeypatch):
-    log = recording(rectangle(0.0, 0.0, 7.0, 6.0), around_the_room(3))
-    rows, cols = make_grid(log, SE2.from_array(around_the_room(3)), OccupancyConfig(), 30.0).shape
-    monkeypatch.setattr(occupancy, "MAX_CELLS", rows * cols - 1)
-    with pytest.raises(
-        InputError, match=f"{rows} x {cols} cells; choose a larger grid.resolution_m"
-    ) as caught:
-        make_grid(log, SE2.from_array(around_the_room(3)), OccupancyConfig(), 30.0)
+def test_a_map_that_could_not_be_read_again_is_not_made():
+    """What is unknown does not count, a margin does."""
+    cells = np.full((8030, 8100), U, dtype=np.int8)
+    config = OccupancyConfig(resolution_m=0.02, margin_m=0.1)
+    cells[10, 50:8040] = F  # 7990 columns, and five on either side
+    cells[10:8000, 50] = F
+    assert trimmed(cells, np.zeros(2), config).shape == (8000, 8000)
+    cells[8000, 50] = F
+    with pytest.raises(InputError, match=r"8001 x 8000 cells; choose a larger grid\.resolution_m") as caught:
+        trimmed(cells, np.zeros(2), config)
     fits = float(str(caught.value).split()[-7])
-    make_grid(log, SE2.from_array(around_the_room(3)), OccupancyConfig(resolution_m=fits), 30.0)
+    assert 0.8 * MAX_CELLS < (8001 * 0.02 / fits) * (8000 * 0.02 / fits) < MAX_CELLS
 
 
 @pytest.mark.filterwarnings("error")

@@ -14,7 +14,7 @@ from turtlebag.pipeline.slam.correspondences import MIN_NORMAL_DOT, Limits, find
 from turtlebag.pipeline.slam.free_space import violation_shares
 from turtlebag.pipeline.slam.joint_refinement import linearise_pairs
 from turtlebag.pipeline.slam.odometry_trust import CONTRADICTION_SIGMAS, RECENT, SEVERAL, OdometryTrust
-from turtlebag.pipeline.slam.pairwise_consistency import _grow
+from turtlebag.pipeline.slam.pairwise_consistency import grow_set
 from turtlebag.pipeline.slam.point_to_line_icp import (
     FAKED,
     NO_PRIOR,
@@ -23,13 +23,13 @@ from turtlebag.pipeline.slam.point_to_line_icp import (
     STEP_COVARIANCE_SCALE,
     SURFACE_VAR,
     Prior,
-    _safe_solve,
-    _step,
-    _wrap,
     align,
     align_kernel,
     contradiction,
+    gauss_newton_step,
     observable,
+    safe_solve,
+    wrap_angle,
 )
 from turtlebag.pipeline.slam.range_noise import SIGMAS
 from turtlebag.pipeline.slam.track import OdometryNoise
@@ -118,7 +118,7 @@ def plain_align(clouds, scan, pose, keys, key_poses, limits, prior):
             unknown += unseen
             cost += q / (1.0 + q) if errors else float(not unseen)
         if iteration < iterations:
-            pose = moved_by(pose, _step(normals.h, normals.faked, normals.g, pose, prior))
+            pose = moved_by(pose, gauss_newton_step(normals.h, normals.faked, normals.g, pose, prior))
     rms = math.sqrt(normals.squares / normals.weights) if normals.weights else 0.0
     return pose, observable(normals.h, normals.faked), matched, len(rows), unknown, rms, cost
 
@@ -208,9 +208,9 @@ def test_a_step_weighs_the_scan_against_the_prior(seed):
         q = d @ np.linalg.solve(np.linalg.inv(information) + np.linalg.pinv(sure), d) if cauchy else 0.0
         w = PRIOR_SHARE / (1.0 + (q / cauchy**2 if cauchy else 0.0))
         expected = np.linalg.solve(seen + w * information, toward - w * information @ e)
-        found = _step(h, faked, g, pose, Prior(prior, information, cauchy))
+        found = gauss_newton_step(h, faked, g, pose, Prior(prior, information, cauchy))
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
-    alone = _step(h, faked, g, pose, Prior(prior, np.zeros((3, 3)), 1.5))
+    alone = gauss_newton_step(h, faked, g, pose, Prior(prior, np.zeros((3, 3)), 1.5))
     np.testing.assert_allclose(seen @ alone, toward, rtol=1e-3, atol=1e-3)
 
 
@@ -232,12 +232,12 @@ def test_solving_damps_by_a_millionth_of_the_information():
     a, b = random_information(1), np.array([1.0, -2.0, 0.5])
     scale = 1e-9 + 1e-6 * (a[0, 0] + a[1, 1])
     damped = a + np.diag([scale, scale, 1e-9 + 1e-6 * a[2, 2] + 1e-3 * scale])
-    np.testing.assert_allclose(damped @ _safe_solve(a, b), b, rtol=1e-9)
+    np.testing.assert_allclose(damped @ safe_solve(a, b), b, rtol=1e-9)
     np.testing.assert_allclose(
-        _safe_solve(np.diag([4.0, 0.0, 2.0]), np.array([4.0, 0.0, 1.0])), [1.0, 0.0, 0.5], rtol=1e-4
+        safe_solve(np.diag([4.0, 0.0, 2.0]), np.array([4.0, 0.0, 1.0])), [1.0, 0.0, 0.5], rtol=1e-4
     )
     for angle in (0.0, 3.0, -3.0, 4.0, 9.5, -9.5):
-        assert _wrap(angle) == pytest.approx(Rotation.from_euler("z", angle).as_euler("xyz")[2])
+        assert wrap_angle(angle) == pytest.approx(Rotation.from_euler("z", angle).as_euler("xyz")[2])
 
 
 def test_a_partner_is_found_all_round_and_where_the_bearing_turns_over(clouds):
@@ -285,7 +285,7 @@ def test_a_pair_is_linearised_as_both_scans_lines_say(clouds, gate, sigma):
 
                 normals.add(perturbed, kernel2, clouds.normal_var[found])
             shares.append(hit / used)
-        step = -_safe_solve(normals.h, normals.g)
+        step = -safe_solve(normals.h, normals.g)
         np.testing.assert_allclose(relative[k], moved_by(T, step), atol=1e-5)
         np.testing.assert_allclose(
             information[k],
@@ -345,7 +345,7 @@ def test_sets_of_places_grow_as_a_plain_search_grows_them(seed):
     agree, overlap = upper | upper.T, np.round(rng.random(n), 1)
     left = np.flatnonzero(rng.random(n) < 0.8)
     for place in left.tolist():
-        assert _grow(place, left, agree, overlap).tolist() == grown_plainly(place, left, agree, overlap)
+        assert grow_set(place, left, agree, overlap).tolist() == grown_plainly(place, left, agree, overlap)
 
 
 def judged_plainly(steps, poses, seen, noise):

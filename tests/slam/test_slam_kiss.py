@@ -18,9 +18,7 @@ def test_what_a_wrong_guess_teaches_grows_with_the_lidar_s_range():
     found = LidarOdometry(max_range=8.0)
     found.update(POSTS, np.array([0.0, 0.0, 0.1]), np.zeros(3))
     chord = 2.0 * 8.0 * math.sin(0.05)
-    assert found._threshold.get_threshold() == pytest.approx(
-        math.sqrt(((2.0 * VOXEL_M) ** 2 + chord**2) / 2.0)
-    )
+    assert found.search_radius == pytest.approx(math.sqrt(((2.0 * VOXEL_M) ** 2 + chord**2) / 2.0))
 
 
 def test_a_guess_near_the_truth_is_led_to_it():

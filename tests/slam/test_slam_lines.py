@@ -14,9 +14,9 @@ from turtlebag.pipeline.slam import clouds as module
 from turtlebag.pipeline.slam.clouds import (
     KNOTS,
     Clouds,
-    _bearing_tables,
-    _fit_lines,
-    _limit,
+    bearing_tables,
+    chi_squared_limit,
+    fit_lines,
     make_clouds,
     point_information,
     sweep_motion,
@@ -58,7 +58,7 @@ def plain_line(points, lo, hi, i, origin, increment, range_var):
             across = float(vectors[:, 0] @ ray)
             steep = min(1.0, across**2 + range_var[i] / max(n * large, 1e-12))
             noise = range_var[i] * steep + LEAST_M**2
-            if n >= 3 and n * small > noise * _limit(n - 2):
+            if n >= 3 and n * small > noise * chi_squared_limit(n - 2):
                 continue
             members.append(j)
             alive[side] = True
@@ -102,7 +102,7 @@ def test_scans_do_not_grow_into_each_other_and_far_places_reach_further():
     shape = points.shape
     normals, centers = np.zeros(shape, np.float32), points.astype(np.float32)
     ok, point_var, normal_var = np.zeros(18, bool), np.zeros(18, np.float32), np.zeros(18, np.float32)
-    _fit_lines(points, starts, np.zeros(2), 0.01, (normals, centers, ok, point_var, normal_var))
+    fit_lines(points, starts, np.zeros(2), 0.01, (normals, centers, ok, point_var, normal_var))
     assert ok.all()
     np.testing.assert_allclose(normals, np.tile([-1.0, 0.0], (18, 1)), atol=1e-9)
     np.testing.assert_allclose(centers[[4, 13]], [[2.0, 0.0], [2.0, 0.17]], atol=1e-7)
@@ -110,7 +110,7 @@ def test_scans_do_not_grow_into_each_other_and_far_places_reach_further():
 
 def test_the_limit_is_that_of_chi_squared_once_in_a_thousand_times():
     for freedom, off in ((1, 0.031), (2, 0.024), (3, 0.018), (5, 0.012), (10, 0.006), (40, 0.002)):
-        assert _limit(freedom) == pytest.approx(chdtri(freedom, ndtr(-3.09)), rel=off)
+        assert chi_squared_limit(freedom) == pytest.approx(chdtri(freedom, ndtr(-3.09)), rel=off)
 
 
 def test_each_bearing_keeps_the_nearest_point_and_of_equals_the_first():
@@ -118,7 +118,7 @@ def test_each_bearing_keeps_the_nearest_point_and_of_equals_the_first():
     points, starts, origin = rng.normal(size=(400, 2)), np.array([0, 150, 150, 400]), np.array([0.2, -0.1])
     points[40] = points[39]
     table = np.full((3, 24), -1, dtype=np.int32)
-    _bearing_tables(points, starts, origin, table)
+    bearing_tables(points, starts, origin, table)
     rays = points - origin
     bins = np.floor((np.arctan2(rays[:, 1], rays[:, 0]) + math.pi) / (2 * math.pi) * 24).astype(int) % 24
     for scan in range(3):

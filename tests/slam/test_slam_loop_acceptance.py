@@ -6,7 +6,7 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.factors import Loop
-from turtlebag.pipeline.slam.loop_closure import _spanned
+from turtlebag.pipeline.slam.loop_closure import spanned_steps
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig, LoopFinder
 from turtlebag.pipeline.slam.point_to_line_icp import Alignment
 
@@ -17,9 +17,9 @@ def loop(i: int, j: int, verdict: str) -> Loop:
 
 def test_accepted_loops_span_the_steps_between_their_keys():
     record = [loop(1, 4, "accepted"), loop(7, 6, "accepted"), loop(0, 9, "rejected")]
-    spanned = _spanned(record, 10)
+    spanned = spanned_steps(record, 10)
     assert spanned.tolist() == [False, True, True, True, False, False, True, False, False]
-    assert not _spanned([], 10).any()
+    assert not spanned_steps([], 10).any()
 
 
 class Trusting:

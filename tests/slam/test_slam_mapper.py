@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import turtlebag.pipeline.slam.mapper as mapper_module
-import turtlebag.pipeline.slam.tracker as tracker_module
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Trajectory
-from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.drift import HONEST
 from turtlebag.pipeline.slam.factors import Constraint, Loop
@@ -19,10 +16,10 @@ from turtlebag.pipeline.slam.growing_log import GrowingLog, heard
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
 from turtlebag.pipeline.slam.isam2_graph import GrowingGraph, joined, without
 from turtlebag.pipeline.slam.loop_search import LoopConfig, step_lengths
-from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.slam.mapper import Kept, Mapper
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.range_noise import RangeNoise
-from turtlebag.pipeline.slam.slam import run_slam
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
 from turtlebag.pipeline.slam.tracker import Tracker, track_log
 from turtlebag.pipeline.slam.wheel_odometry import Wheels
@@ -32,9 +29,9 @@ LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
 NOISE = RangeNoise()
 
 
-def driven(log, upto=None):
+def driven(log, upto=None, config=None):
     """A mapper that has seen a log, and the poses it gave on the way (n, 3)."""
-    mapper = Mapper(log.lidar, log.T_base_lidar)
+    mapper = Mapper(log.lidar, log.T_base_lidar, config)
     given = [mapper.add(log.scan(k), log.T_odom_base[k]).xyt for k in range(upto or len(log))]
     return mapper, np.array(given)
 
@@ -210,39 +207,42 @@ def test_without_odometry_the_scans_alone_carry_the_robot():
     assert errors((SE2(TRUE[0]) @ SE2(given)).xyt, TRUE).max() < 0.06
 
 
-def test_scans_that_a_later_one_tells_more_of_move_on_the_trajectory_as_on_the_track(monkeypatch):
-    there = np.array([9.0, 9.0, 0.0])
+THERE = np.array([9.0, 9.0, 0.0])
 
-    class Hindsight(Wheels):
-        def step(self, points, odometry_step, wait_s):
-            late = tuple((k, there) for k in range(20)) if self._tracker.scan == 20 else ()
-            return replace(super().step(points, odometry_step, wait_s), revised=late)
 
-    monkeypatch.setattr(mapper_module, "front_end_maker", lambda name: Hindsight)
-    mapper, given = driven(LOG, 30)
+class Hindsight(Wheels):
+    """A user's front end that knows at the 20th scan where the ones before were."""
+
+    def __init__(self, tracker):
+        super().__init__(tracker)
+        self.tracker = tracker
+
+    def step(self, points, odometry_step, wait_s):
+        late = tuple((k, THERE) for k in range(20)) if self.tracker.scan == 20 else ()
+        return replace(super().step(points, odometry_step, wait_s), revised=late)
+
+
+def test_scans_that_a_later_one_tells_more_of_move_on_the_trajectory_as_on_the_track():
+    mapper, given = driven(LOG, 30, SlamConfig(front_end=f"{__name__}:Hindsight"))
     moved = np.flatnonzero((np.abs(mapper.trajectory.poses.xyt - given) > 1e-6).any(axis=1))
     assert moved.tolist() == [k for k in range(20) if k not in mapper.keys]
-    np.testing.assert_allclose(mapper.trajectory.poses.xyt[moved], np.tile(there, (len(moved), 1)), atol=1e-6)
+    np.testing.assert_allclose(mapper.trajectory.poses.xyt[moved], np.tile(THERE, (len(moved), 1)), atol=1e-6)
 
 
-def test_the_odometry_is_calibrated_whenever_the_key_scans_have_doubled_and_at_the_end(monkeypatch):
-    asked = []
-
-    def calibrate(clouds, keys, T_track_keys, T_odom_keys):
-        asked.append(len(keys))
-        return Calibration()
-
-    monkeypatch.setattr(tracker_module, "calibrate", calibrate)
+def test_the_odometry_is_calibrated_whenever_the_key_scans_have_doubled_and_at_the_end():
+    calibrated = []
     config = TrackingConfig(key_distance_m=0.1)
     clouds = make_clouds(LOG, 8.0, noise=NOISE)
     tracker = Tracker(clouds, LOG, config, 8.0, Wheels)
     for _ in range(len(LOG) - 1):
+        before = tracker.calibration
         tracker.step(0.2)
+        if tracker.calibration is not before:
+            calibrated.append(len(tracker.keys))
     assert 128 < len(tracker.keys) < 256
-    assert asked == [2, 4, 8, 16, 32, 64, 128]
-    asked.clear()
+    assert calibrated == [2, 4, 8, 16, 32, 64, 128]
     track = track_log(LOG, clouds, config, 8.0, range(1, len(LOG)), Wheels)
-    assert asked == [2, 4, 8, 16, 32, 64, 128, len(track.keys)]
+    assert track.calibration.pairs > tracker.calibration.pairs > 0
 
 
 def growing_loops(n, information):
@@ -272,15 +272,15 @@ def test_the_way_driven_is_that_of_all_steps_so_far():
 def test_keys_that_wait_and_the_loop_found_are_the_same_when_others_have_gone(found):
     loops, clouds = growing_loops(12, 1e4 * np.eye(3))
     every = np.arange(12)
-    assert list(loops._waiting) == [4, 8]
+    assert list(loops.waiting) == [4, 8]
     if found:
-        loops._found = Loop(10, 2, np.zeros(3), 1.0, 1.0, 0.0, np.eye(3), "accepted")
+        loops.found = Loop(10, 2, np.zeros(3), 1.0, 1.0, 0.0, np.eye(3), "accepted")
     stays = loops.needed() | (every == 11)
     loops.keep(stays, KeyScans(clouds, every[stays]))
     np.testing.assert_allclose(loops.poses, TRUE[:12][stays], atol=1e-6)
     kept = loops.scans.keys
-    assert kept[list(loops._waiting)].tolist() == [4, 8]
-    assert (loops._found and kept[[loops._found.i, loops._found.j]].tolist()) == ([10, 2] if found else None)
+    assert kept[list(loops.waiting)].tolist() == [4, 8]
+    assert (loops.found and kept[[loops.found.i, loops.found.j]].tolist()) == ([10, 2] if found else None)
     assert kept.tolist() == ([0, 2, 4, 8, 10, 11] if found else [0, 4, 8, 11])
 
 
@@ -295,10 +295,9 @@ def test_finish_gives_what_the_offline_mapper_gives():
 
 
 @pytest.mark.slow
-def test_memory_is_that_of_the_area_and_the_map_stays_right(whole, monkeypatch):
-    for name, count in {"TIDY_SCANS": 32, "LAST_SCANS": 16, "MOST_SCANS": 150, "PLACE_KEYS": 1}.items():
-        monkeypatch.setattr(mapper_module, name, count)
-    mapper, given = Mapper(LOG.lidar, LOG.T_base_lidar), []
+def test_memory_is_that_of_the_area_and_the_map_stays_right(whole):
+    kept = Kept(tidy_scans=32, last_scans=16, place_keys=1, log_scans=150)
+    mapper, given = Mapper(LOG.lidar, LOG.T_base_lidar, kept=kept), []
     for k in range(len(LOG)):
         given.append(mapper.add(LOG.scan(k), LOG.T_odom_base[k]).xyt)
         np.testing.assert_allclose(mapper.trajectory.poses.xyt[-1], given[-1], atol=1e-9)

@@ -12,9 +12,8 @@ from tests.helpers.made_drives import Drive, FloorPlan, make_log
 from tests.helpers.made_logs import arena, burger_lidar
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.pipeline.slam import laser_mounting
 from turtlebag.pipeline.slam.clouds import USABLE_M
-from turtlebag.pipeline.slam.laser_mounting import facing, turned_by_deg
+from turtlebag.pipeline.slam.laser_mounting import facing, stretches, turned_by_deg, ways_of, yaw_error_deg
 from turtlebag.pipeline.slam.range_noise import range_noise
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 
@@ -53,13 +52,11 @@ def test_odometry_that_lies_turns_no_laser(log, kind):
 
 @pytest.mark.parametrize("wrong", [1, 2, 3])
 @pytest.mark.parametrize("degrees", [0.0, 35.0])
-def test_few_stretches_that_went_wrong_turn_no_laser(log, monkeypatch, wrong, degrees):
+def test_few_stretches_that_went_wrong_turn_no_laser(wrong, degrees):
     """Of twenty answers one, two or three are sixty degrees off, as when a door opens beside the robot."""
     off_deg = np.where(np.arange(20) < wrong, 60.0, 0.0)
-    ways = iter(np.column_stack([np.exp(-1j * np.deg2rad(degrees + off_deg)), np.ones(20)]))
-    monkeypatch.setattr(laser_mounting, "_stretches", lambda _: range(20))
-    monkeypatch.setattr(laser_mounting, "_ways", lambda *_: next(ways))
-    assert turned_by_deg(log.recording) == degrees
+    ways = np.column_stack([np.exp(-1j * np.deg2rad(degrees + off_deg)), np.ones(20)])
+    assert yaw_error_deg(ways) == degrees
 
 
 def test_a_robot_that_winds_along_is_seen_to_go_where_its_wheels_say():
@@ -70,9 +67,7 @@ def test_a_robot_that_winds_along_is_seen_to_go_where_its_wheels_say():
     drive = Drive(v=0.18, w=2.0, dv=2.0, dw=10.0, ahead=0.06)
     recording = make_log("winding", plan, winding, burger_lidar(), drive=drive).recording
     noise = range_noise(recording, USABLE_M)
-    seen, told = np.array(
-        [laser_mounting._ways(recording, one, noise) for one in laser_mounting._stretches(recording)]
-    ).T
+    seen, told = np.array([ways_of(recording, one, noise) for one in stretches(recording)]).T
     assert np.quantile(np.abs(np.angle(told / seen, deg=True)), 0.9) < 3.0
 
 

@@ -1,5 +1,6 @@
 """Places are recognised where drift exceeds every gate, but never in buildings that repeat themselves."""
 
+import math
 from functools import cache
 from types import SimpleNamespace
 
@@ -12,17 +13,32 @@ from tests.helpers.made_drives import Drive, FloorPlan, Sensor, Wheels, make_log
 from tests.helpers.made_logs import WHEELS, interval, office_plan, without
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between
-from turtlebag.pipeline.slam import place_recognition
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
-from turtlebag.pipeline.slam.drift import drift_of
+from turtlebag.pipeline.slam.drift import HONEST, drift_of
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_search import LoopConfig
 from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency
-from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
+from turtlebag.pipeline.slam.place_recognition import (
+    PlaceRecognitionConfig,
+    accepted_sets,
+    join_parts,
+    judge_place,
+    submap_searches,
+)
 from turtlebag.pipeline.slam.point_to_line_icp import Alignment
+from turtlebag.pipeline.slam.range_noise import SIGMAS
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, make_submap, similarity, windows
+from turtlebag.pipeline.slam.submaps import (
+    HEADINGS,
+    MOST_SHIFT,
+    RESOLUTION_M,
+    laid_on,
+    likely_turns,
+    make_submap,
+    similarity,
+    windows,
+)
 
 
 @cache
@@ -172,41 +188,28 @@ def test_places_that_agree_outvote_the_aliases():
 def test_the_newer_part_is_moved_to_where_its_best_place_says_and_the_others_stay():
     poses, part = np.random.default_rng(1).normal(0.0, 1.0, (9, 3)), np.repeat([0, 1, 2], 3)
     members = [place(7, 1, (0.2, 0.1, 0.3), 0.7), place(8, 0, (0.5, -0.4, 1.0), 0.9)]
-    moved, joined = place_recognition._laid_together(poses, part, members)
+    moved, joined = join_parts(poses, part, members)
     np.testing.assert_allclose(between(moved[0], moved[8]), (0.5, -0.4, 1.0), atol=1e-12)
     np.testing.assert_allclose(SE2(moved[6:]).steps(), SE2(poses[6:]).steps(), atol=1e-12)
     np.testing.assert_array_equal(moved[:6], poses[:6])
     assert joined.tolist() == [0, 0, 0, 1, 1, 1, 0, 0, 0]
-    again, _ = place_recognition._laid_together(moved, joined, [place(7, 1, (0.2, 0.1, 0.3))])
+    again, _ = join_parts(moved, joined, [place(7, 1, (0.2, 0.1, 0.3))])
     np.testing.assert_array_equal(again, moved)
 
 
-def test_a_place_is_looked_for_near_where_the_track_has_it(monkeypatch):
-    """Along a line, each metre known to two: on older places as the poses say, and not a kilometre away."""
+def test_a_place_is_looked_for_near_where_the_track_has_it():
+    """Along a line, each metre known to two: on older places that the drift allows, as far off as it is."""
     poses = np.column_stack([np.arange(60.0), np.zeros(60), np.zeros(60)])
     vague = np.diag([0.25, 0.25, 1e8])
     steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), vague, "step") for k in range(59)]
-    begun = []
-
-    def seen_from(query, other):
-        return between(poses[other.middle], poses[query.middle])
-
-    def laid(query, other, _):
-        away = 1e3 * (other.middle % 4 == 0)
-        return 1.0, seen_from(query, other) + np.array([away, 0.0, 0.0])
-
-    def settled(scans, query, other, score, start, *_):
-        begun.append((start - seen_from(query, other)).tolist())
-
-    monkeypatch.setattr(place_recognition, "make_submap", lambda *of: SimpleNamespace(middle=of[3]))
-    monkeypatch.setattr(place_recognition, "similarity", lambda query, others: np.ones(len(others)))
-    monkeypatch.setattr(place_recognition, "laid_on", laid)
-    monkeypatch.setattr(place_recognition, "_settled", settled)
     drift = drift_of(poses, steps, np.zeros(59, dtype=bool))
-    scans = KeyScans(make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(60))
-    place_recognition._candidates(scans, drift, [], PlaceRecognitionConfig(candidates=2), LoopConfig())
-    assert len(begun) > 4
-    assert not np.any(begun)
+    searches = dict(submap_searches(drift, [], range(0, 60, 4), 10.0))
+    assert len(searches) > 4
+    for i in range(0, 60, 4):
+        # Three standard deviations, which grow with the root of the way.
+        off = {j: SIGMAS * math.sqrt(HONEST * 4.0 * (i - j)) for j in range(0, i, 4)}
+        reached = {j: m for j, m in off.items() if m > 10.0 and i - j < m + MOST_SHIFT * RESOLUTION_M}
+        assert searches.get(i, {}) == pytest.approx(reached, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -228,28 +231,24 @@ def test_a_place_fits_as_well_as_one_in_four_scans_do_and_violates_as_little_fre
 
     start = between(truth[4], truth[12])
     config = PlaceRecognitionConfig(min_overlap=0.6)
-    found = place_recognition._settled(scans, about(12), about(4), 0.8, start, config, Told())
+    found = judge_place(scans, about(12), about(4), 0.8, start, config, Told())
     assert (found.i, found.j, found.verdict) == (12, 4, verdict)
     if verdict == "candidate":
         assert found.overlap == pytest.approx(0.7)
         assert found.violation < 0.01
 
 
-def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
+def test_a_place_passed_again_and_again_is_looked_for_once():
     """After a break nothing is known of, five rounds of a room cost what one does."""
-    looked_at: list[int] = []
-    monkeypatch.setattr(place_recognition, "make_submap", lambda *of: looked_at.append(of[3]))
+    looked_at: list[set[int]] = []
     for laps in (1, 5):
         poses = around_the_room(60 * laps, laps=laps)
         moves = (SE2(poses[:-1]).inverse() @ SE2(poses[1:])).xyt
         steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
-        drift = drift_of(poses, steps, np.arange(len(moves)) == 9)
-        clouds, keys = make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(len(poses))
-        place_recognition._candidates(
-            KeyScans(clouds, keys), drift, [], PlaceRecognitionConfig(), LoopConfig()
-        )
-    assert looked_at.count(looked_at[0]) == 2
-    assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
+        broken = np.arange(len(moves)) == 9
+        searches = submap_searches(drift_of(poses, steps, broken), [], windows(len(poses), broken), 3.0)
+        looked_at.append({middle for i, off in searches for middle in (i, *off)})
+    assert 4 < len(looked_at[1]) < 1.6 * len(looked_at[0])
 
 
 @pytest.mark.slow
@@ -257,18 +256,15 @@ def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
     ("usual", "laid", "verdict"),
     [(0.0, 0.04, "accepted"), (0.0, 0.08, "the stretch contradicts the place"), (0.04, 0.08, "accepted")],
 )
-def test_a_place_is_believed_where_visits_violate_free_space_little_more_than_usual(
-    monkeypatch, usual, laid, verdict
-):
+def test_a_place_is_believed_where_visits_violate_free_space_little_more_than_usual(usual, laid, verdict):
     """Cells of a maze are alike: nothing that fits tells them apart, what each saw through does."""
-    monkeypatch.setattr(place_recognition, "_usual_violation", lambda *of: usual)
-    monkeypatch.setattr(place_recognition, "_stretch_violation", lambda *of: laid)
+    violations = SimpleNamespace(usual=lambda: usual, with_stretch=lambda stretch: laid)
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
     broken = np.arange(19) == 9
     steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), "step") for k in range(19)]
     found = [Loop(i, i - 10, np.zeros(3), 1.0, 0.9, 0.01, 1e6 * np.eye(3)) for i in (12, 14, 16)]
     drift = drift_of(poses, steps, broken)
-    believed, record = place_recognition._believed(None, found, drift, PlaceRecognitionConfig(), LoopConfig())
+    believed, record = accepted_sets(found, drift, violations, PlaceRecognitionConfig(), LoopConfig())
     assert {place.verdict for place in record} == {verdict}
     assert len(believed) == (verdict == "accepted")
 
@@ -285,6 +281,6 @@ def test_the_turn_between_two_histograms_of_normals_is_among_those_tried():
     rng = np.random.default_rng(3)
     query = rng.uniform(0.0, 1.0, HEADINGS) + 10.0 * (np.arange(HEADINGS) % (HEADINGS // 3) == 5)
     for turn in (0, 7, HEADINGS - 4):
-        tried = _headings(query, np.roll(query, turn))
+        tried = likely_turns(query, np.roll(query, turn))
         assert {(turn + d) % HEADINGS for d in (-1, 0, 1)} <= set(tried)
         assert len(tried) < HEADINGS // 2

@@ -10,7 +10,12 @@ from tests.helpers.made_logs import rooms
 from tests.helpers.slam_rooms import ROOM, around_the_room
 from tests.helpers.slam_rooms import recording as recorded
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, make_clouds
-from turtlebag.pipeline.slam.range_calibration import BESIDE, RangeCalibration, _straight, calibrate_ranges
+from turtlebag.pipeline.slam.range_calibration import (
+    BESIDE,
+    RangeCalibration,
+    calibrate_ranges,
+    straight_points,
+)
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 
 ERRORS = RangeCalibration(0.006, -0.003)
@@ -66,7 +71,7 @@ def test_surfaces_count_that_go_on_in_one_direction_to_either_side():
         goes_on = alike & line_ok[BESIDE:] & line_ok[:-BESIDE]
         expected[scan][BESIDE:-BESIDE] = goes_on[BESIDE:] & goes_on[:-BESIDE]
         assert 40 < expected[scan].sum() < goes_on.sum()
-    np.testing.assert_array_equal(_straight(clouds, np.array([0, 2])), expected)
+    np.testing.assert_array_equal(straight_points(clouds, np.array([0, 2])), expected)
 
 
 def test_a_return_stays_a_return_and_nothing_else_changes():

@@ -9,7 +9,6 @@ from benchmarks.known_logs import integrate
 from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
-from turtlebag.pipeline.slam import selfcheck
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
@@ -92,8 +91,7 @@ def test_breaks_that_nothing_mends_are_named(drive):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("shift", "doubled"), [(0.0, False), (0.8, True)])
-def test_a_room_drawn_twice_contradicts_itself(monkeypatch, shift, doubled):
-    monkeypatch.setattr(selfcheck, "APART_KEYS", 10)
+def test_a_room_drawn_twice_contradicts_itself(shift, doubled):
     poses = around_the_room(120, laps=2)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)

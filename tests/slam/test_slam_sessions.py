@@ -1,13 +1,9 @@
 """Place recognition without an initial guess, and several recordings in one map."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tests.helpers.exact_rays import rectangle
-from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
-from turtlebag.datasets.errors import InputError
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.cloud_parts import joined_clouds
@@ -51,26 +47,3 @@ def test_a_second_session_of_three_metres_joins():
     assert np.count_nonzero(result.keys >= 100) < 17
     off = np.linalg.norm(result.trajectory.poses.xy[100:] - few[:, :2], axis=1)
     assert off.max() < 0.05
-
-
-def test_odometry_alone_does_not_tell_where_a_second_session_lies():
-    a, b = (recording(ROOM, poses[:20], odometry=poses[:20]) for poses in (FIRST, SECOND))
-    with pytest.raises(InputError, match=r"joining it to .* needs scans"):
-        run_slam(a, SlamConfig(sensors="odometry"), more=[b])
-
-
-@pytest.mark.slow
-def test_a_second_session_somewhere_else_joins_nothing():
-    a = recording(ROOM, FIRST, odometry=drifted(FIRST))
-    hall = rectangle(0, 0, 9, 4)
-    t = np.linspace(0.0, 6.0, 60)
-    poses = np.stack([1.0 + t, np.full(60, 2.0), np.zeros(60)], axis=1)
-    with pytest.raises(InputError, match="recognised"):
-        run_slam(a, SlamConfig(), more=[recording(hall, poses, odometry=poses)])
-
-
-def test_another_lidar_is_refused():
-    a = recording(ROOM, FIRST[:20], odometry=FIRST[:20])
-    b = recording(ROOM, FIRST[:20], replace(LDS, range_max=7.0), odometry=FIRST[:20])
-    with pytest.raises(InputError, match="lidar"):
-        run_slam(a, SlamConfig(), more=[b])

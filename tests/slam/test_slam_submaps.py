@@ -36,18 +36,18 @@ def test_a_signature_counts_pairs_by_distance_and_angle_whatever_the_viewpoint()
         d = min(int(math.dist(points[i], points[j]) / 0.5), 23)
         turn = abs(math.remainder(angle[i] - angle[j], 2 * math.pi))
         expected[d, min(int(turn / math.pi * 6), 5)] += 1
-    found = submaps._signature(points, normals)
+    found = submaps.signature_of(points, normals)
     np.testing.assert_allclose(found, expected.ravel() / expected.sum(), atol=2 / expected.sum())
     T = SE2.from_xyt(3.0, -2.0, 1.0)
     turned = SE2.from_xyt(0.0, 0.0, 1.0) @ normals
-    assert np.abs(submaps._signature(T @ points, turned) - found).sum() < 0.002
-    many = submaps._signature(np.repeat(points, 4, axis=0), np.repeat(normals, 4, axis=0))
+    assert np.abs(submaps.signature_of(T @ points, turned) - found).sum() < 0.002
+    many = submaps.signature_of(np.repeat(points, 4, axis=0), np.repeat(normals, 4, axis=0))
     np.testing.assert_allclose(many.sum(), 1.0)
     # of more points than a sample every nth is taken
     np.testing.assert_allclose(
-        many, submaps._signature(np.repeat(points, 4, axis=0)[::3], np.repeat(normals, 4, axis=0)[::3])
+        many, submaps.signature_of(np.repeat(points, 4, axis=0)[::3], np.repeat(normals, 4, axis=0)[::3])
     )
-    assert submaps._signature(points[:1], normals[:1]).sum() == 0.0
+    assert submaps.signature_of(points[:1], normals[:1]).sum() == 0.0
 
 
 def test_a_submap_is_made_of_what_its_keys_see_from_its_middle():
@@ -75,7 +75,7 @@ def test_a_submap_is_made_of_what_its_keys_see_from_its_middle():
         np.floor((np.arctan2(normals[:, 1], normals[:, 0]) + math.pi) / (2 * math.pi) * 120).astype(int) % 120
     )
     np.testing.assert_array_equal(made.directions, np.bincount(bins, minlength=120))
-    np.testing.assert_allclose(made.signature, submaps._signature(made.points, normals))
+    np.testing.assert_allclose(made.signature, submaps.signature_of(made.points, normals))
     assert submaps.similarity(made, [made])[0] == pytest.approx(1.0)
     assert (
         submaps.make_submap(clouds._replace(normals=0 * clouds.normals), keys, poses[keys], 6, chosen) is None
@@ -84,7 +84,7 @@ def test_a_submap_is_made_of_what_its_keys_see_from_its_middle():
 
 def test_the_picture_of_a_submap_is_blurred_by_a_cell():
     points = np.array([[0.1, 0.1], [2.6, -1.4], [0.3, 0.1]])
-    image = np.fft.irfft2(submaps._spectrum(points), (submaps.CELLS, submaps.CELLS))
+    image = np.fft.irfft2(submaps.spectrum_of(points), (submaps.CELLS, submaps.CELLS))
     expected = np.zeros((submaps.CELLS, submaps.CELLS))
     for col, row in np.floor(points / 0.25).astype(int):
         for dy, dx in itertools.product((-1, 0, 1), repeat=2):

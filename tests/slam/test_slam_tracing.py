@@ -15,9 +15,9 @@ from turtlebag.pipeline.slam.correlative import UNSEEN, Field, best_pose, make_f
 from turtlebag.pipeline.slam.occupancy import (
     Counts,
     OccupancyConfig,
-    _beside,
-    _cast,
     beam_lengths,
+    beside,
+    cast_beams,
     certainty,
     classify,
     make_checked_grid,
@@ -78,7 +78,7 @@ def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
     lidar, T_base_lidar = LidarSpec(beams, -2.0, 4.0 / (beams - 1), 0.1, 8.0), np.array([0.15, -0.08, 0.5])
     for moving in (motion, np.zeros((n, 1, 3))):
         found, expected = Counts.none(50, 60), Counts.none(50, 60)
-        _cast(found, res, (length, returned), (lidar.directions, T_base_lidar, moving), poses, 0.25)
+        cast_beams(found, res, (length, returned), (lidar.directions, T_base_lidar, moving), poses, 0.25)
         for with_return in (True, False):
             for k in range(n):
                 origins, ways = deskewed(
@@ -158,7 +158,7 @@ def test_neighbours_are_the_four_beside_a_cell_and_none_beyond_the_border():
         for r, c in np.ndindex(3, 4):
             marked = cells.copy()
             marked[r, c] = 7
-            assert _beside(marked, row, col, 7) == (abs(r - row) + abs(c - col) == 1)
+            assert beside(marked, row, col, 7) == (abs(r - row) + abs(c - col) == 1)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.1, 0.12])

@@ -9,7 +9,6 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam import icp_odometry
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.icp_odometry import Lines
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
@@ -75,10 +74,8 @@ def test_after_a_long_gap_a_scan_that_hardly_fits_confirms_nothing(wait_s, overl
     assert not (breaks.alone | breaks.contradicted).any()
 
 
-@pytest.mark.parametrize("sure", [0.92, 0.0])
-def test_after_a_gap_the_odometry_has_it_where_scans_fit_by_chance(sure, monkeypatch):
+def test_after_a_gap_the_odometry_has_it_where_scans_fit_by_chance():
     """Seven of 26 drives with gaps of 20 s were 3 to 12 m off, their odometry right to centimetres."""
-    monkeypatch.setattr(icp_odometry, "SURELY_THERE", sure)
     poses = around_the_room(60)
     log, other = (recording(room, poses, odometry=poses) for room in (ROOM, 1.3 * ROOM))
     odometry = SE2.from_array(poses)
@@ -92,7 +89,7 @@ def test_after_a_gap_the_odometry_has_it_where_scans_fit_by_chance(sure, monkeyp
     track = track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, 60), Lines)
     off = track.T_track_base[29].inverse() @ track.T_track_base[30]
     off = between((log.T_odom_base[29].inverse() @ log.T_odom_base[30]).xyt, off.xyt)
-    assert (np.hypot(*off[:2]) < 0.5) == (sure > 0.0)
+    assert np.hypot(*off[:2]) < 0.5
 
 
 @pytest.mark.parametrize(("wheels", "from_scan"), [(0.0, 0), (-1.0, 0), (0.0, 29)])

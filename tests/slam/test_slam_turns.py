@@ -1,7 +1,6 @@
 """Odometry that is late, early or mirrored: found, corrected and reported."""
 
 import json
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +14,8 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam import turn_comparison
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.turn_comparison import DELAYS_S, Timing, _delay, _Turns, compared_turns, in_step
+from turtlebag.pipeline.slam.turn_comparison import DELAYS_S, Timing, Turns, compared_turns, delay_of, in_step
 
 ROUTE = np.array(
     [(14.7, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5), (14.7, 7.0)]
@@ -64,7 +62,7 @@ def late(recording, seconds):
 def test_odometry_is_late_or_turned_over_by_the_delay_at_which_all_turns_agree(side, late_s, told):
     off = np.random.default_rng(1).normal(0.0, 0.3, (2, len(DELAYS_S), 32))
     off[side, np.abs(DELAYS_S - late_s).argmin()] = 0.0
-    assert _delay(_Turns(off, np.repeat(np.arange(8), 4))) == pytest.approx(told)
+    assert delay_of(Turns(off, np.repeat(np.arange(8), 4))) == pytest.approx(told)
 
 
 @pytest.mark.slow
@@ -158,24 +156,13 @@ def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, requ
     ("said", "seconds", "over"),
     [("reversed", 0.0, False), ("reversed", 0.4, True), ("none", 0.4, False), ("none", 0.0, True)],
 )
-def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(
-    turning_long, said, seconds, over, monkeypatch
-):
-    """Each stretch is tracked once for a lidar and a delay."""
-    tracked, alone = Counter(), turn_comparison.tracked_alone
-
-    def counted(scans, rows, noise, late_s):
-        tracked[scans.lidar, late_s, rows[0]] += 1
-        return alone(scans, rows, noise, late_s)
-
-    monkeypatch.setattr(turn_comparison, "tracked_alone", counted)
+def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(turning_long, said, seconds, over):
     recording = late(turning_long.recording, seconds)
     true = recording.lidar.time_increment
     lidar = replace(recording.lidar, time_increment=-true if said == "reversed" else 0.0)
     wrong = replace(recording, lidar=turned_over(lidar) if over else lidar)
     timing = compared_turns(wrong)
     assert timing == (pytest.approx(seconds, abs=0.06), over, pytest.approx(true, rel=0.01), True)
-    assert max(tracked.values()) == 1
     fixed = in_step(wrong, timing)
     assert fixed.lidar.time_increment == pytest.approx(true, rel=0.01)
     assert ("in the opposite direction" in fixed.notes[0]) is (said == "reversed")

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam import drift, map_uncertainty
+from turtlebag.pipeline.slam import map_uncertainty
 from turtlebag.pipeline.slam.calibration import Calibration
+from turtlebag.pipeline.slam.drift import HONEST
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.map_uncertainty import shared_errors
+from turtlebag.pipeline.slam.map_uncertainty import ASKED, shared_errors
 from turtlebag.pipeline.slam.pose_graph import noise_model
 from turtlebag.pipeline.slam.track import Track
 
@@ -24,12 +25,12 @@ def track_of(T, calibration):
     )  # fmt: skip
 
 
-def position_sigmas(T, constraints, covariance=None):
+def position_sigmas(T, constraints, covariance=None, **most):
     """With a calibration of the wheels' three shares, of so much covariance (3, 3), or without."""
     shared = ()
     if covariance is not None:
         shared = shared_errors(track_of(T, Calibration(covariance=covariance)), constraints, np.zeros(len(T)))
-    return map_uncertainty.position_sigmas(T, constraints, shared)
+    return map_uncertainty.position_sigmas(T, constraints, shared, **most)
 
 
 def round_trip(n=30, radius=8.0, closed=False, sigmas=(0.02, 0.01, 0.01)):
@@ -46,7 +47,8 @@ def drawn_by_gtsam(T, constraints, rng, maps=4000):
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*T.xyt[0]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-9)))
     for c in constraints:
-        graph.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise_model(c)))
+        surer = replace(c, information=c.information / HONEST)
+        graph.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise_model(surer)))
     for k, pose in enumerate(T.xyt):
         values.insert(k, gtsam.Pose2(*pose))
     keys = list(range(len(T)))
@@ -61,12 +63,6 @@ def drawn_by_gtsam(T, constraints, rng, maps=4000):
     flat = flat - rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]
     variances = [np.linalg.eigvalsh(np.cov(flat[2 * k : 2 * k + 2]))[-1] for k in range(len(T))]
     return np.sqrt(variances)
-
-
-@pytest.fixture(autouse=True)
-def as_stated(monkeypatch):
-    """Constraints that are as sure as they say."""
-    monkeypatch.setattr(drift, "HONEST", 1.0)
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -97,13 +93,13 @@ def test_it_does_not_matter_where_the_map_lies():
     assert position_sigmas(far, constraints)[1] == pytest.approx(position_sigmas(T, constraints)[1], rel=1e-3)
 
 
-def test_long_logs_are_asked_at_some_keys(monkeypatch):
+def test_long_logs_are_asked_at_some_keys():
     T, constraints = round_trip(200)
-    every = position_sigmas(T, constraints)
-    monkeypatch.setattr(map_uncertainty, "ASKED", 7)
-    asked, sigmas = position_sigmas(T, constraints)
+    every = position_sigmas(T, constraints, most=200)
+    asked, sigmas = position_sigmas(T, constraints, most=7)
     assert asked.tolist() == [0, 33, 66, 99, 132, 165, 199]
     assert sigmas.max() == pytest.approx(every[1].max(), rel=0.2)
+    assert len(position_sigmas(T, constraints)[0]) == ASKED
 
 
 @pytest.mark.parametrize("closed", [False, True])

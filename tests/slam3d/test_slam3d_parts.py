@@ -12,7 +12,6 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.open3d_loader import open3d
 from turtlebag.pipeline.slam.pose_graph import optimise, residuals, write_g2o
-from turtlebag.pipeline.slam3d import cloud_map
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished, save_ply
 from turtlebag.pipeline.slam3d.floor import find_floor, levelled
 from turtlebag.pipeline.slam3d.loops import MIN_OVERLAP
@@ -215,10 +214,9 @@ def test_g2o_is_read_back_by_gtsam_and_by_the_reports(tmp_path):
     assert seen.edges == len(edges)
 
 
-def test_the_cloud_map_holds_the_means_of_its_voxels_however_they_come(monkeypatch):
-    monkeypatch.setattr(cloud_map, "AT_ONCE", 20_000)
+def test_the_cloud_map_holds_the_means_of_its_voxels_however_they_come():
     points = RNG.uniform(-1.0, 1.0, size=(60_000, 3))
-    cloud = CloudMap(0.1, 10**6)
+    cloud = CloudMap(0.1, 10**6, at_once=20_000)
     for part in np.array_split(points, 7):
         cloud.add(part)
     means, counts = cloud.points()

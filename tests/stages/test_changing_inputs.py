@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.bag_samples import stamp, write_drive
-from turtlebag.datasets.bags import convert
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.writer import BagWriter
@@ -29,7 +29,7 @@ def bag(request, tmp_path):
             writer.cloud(stamp(k), stamp(k), cloud, "base_scan")
     file = tmp_path / "drive" / "bag_0.mcap"
     if request.param == "a.bag":
-        convert.to_ros1_bag(file, tmp_path / "a.bag")
+        to_ros1_bag(tmp_path / "drive", tmp_path / "a.bag")
         file = tmp_path / "a.bag"
     assert file.stat().st_size > 3 * PIECE_BYTES
     return file
