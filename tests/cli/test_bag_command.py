@@ -1,5 +1,7 @@
 """`turtlebag bag`: what the verbs print and how they end."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
