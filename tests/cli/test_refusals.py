@@ -72,7 +72,22 @@ SYSTEMS = {
         "TurtleBag.tum": "...TurtleBag: this name is taken...",
     }.items()
 }
-REFUSED = USAGE | NUMBERS | NAMES | BAGS | UNUSED | SYSTEMS
+AVOID = "navigate --world empty --task avoid"
+FORMER = {
+    "ablate data/records/world --replace odometry --out x": (
+        "ablate is gone; give map or navigate a part that knows the truth, e.g. "
+        "--set front_end=turtlebag.testing:TrueFrontEnd"
+    ),
+    "blame data/records/world --out x": "blame is gone; give map or navigate a part that knows ...",
+    "teleop --world empty --view=1 --out x": "teleop: --view is gone; turtlebag studio shows the scan ...",
+    f"{AVOID} --takeover keyboard --out x": (
+        "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)"
+    ),
+    f"{AVOID} --takeover=mine.yaml --out x": "navigate: --takeover is now called --teleop-override (see ...)",
+    "report data/maps/a --rival other.tum --out x": "report: --rival is now called --system (see ...)",
+    "compare data/maps/a other.tum --rival-shift 1": "compare: --rival-shift is now called ...",
+}
+REFUSED = FORMER | USAGE | NUMBERS | NAMES | BAGS | UNUSED | SYSTEMS
 
 
 @pytest.fixture(scope="module")
