@@ -97,7 +97,7 @@ $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports dat
 DEMO_AGAIN = rm -rf $(addprefix data/,$(DEMO)) data/reports/demo && $(MAKE) --no-print-directory demo
 DEMO_HASHES = cd data && find $(DEMO) reports/demo -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
 
-verify: $(READY) ## run the demo twice and compare every file, then recompute every number of its report
+verify: $(READY) ## run the demo twice and compare every file, then verify its report
 	mkdir -p data/verify
 	$(DEMO_AGAIN) > data/verify/first.log
 	$(DEMO_HASHES) > verify/first.sha256

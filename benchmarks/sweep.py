@@ -17,28 +17,45 @@ import time
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import turtlebag as tb
 from benchmarks.runner import Row, held_mb, options, write
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.campaign.campaign_file import Campaign
-from turtlebag.pipeline.campaign.case import Where
+from turtlebag.pipeline.campaign.case import Run, Where
 from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.campaign.engine import run_cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
-from turtlebag.pipeline.cli.main import main as turtlebag
-from turtlebag.pipeline.stages.run_again import Run
+from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.requests.options import Option
+from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.table import REQUESTS
+from turtlebag.pipeline.stages.run import run as run_stage
 
 WORKERS = 2
 MAPS = 40
 SQL = "SELECT front_end, median(error_m), count(*) FILTER (failed) FROM runs GROUP BY front_end"
 
 
-def nothing(argv: list[str]) -> int:
+class Nothing(Request):
+    """What is asked of a stage that does nothing."""
+
+    VERB = "nothing"
+    EXAMPLE = "turtlebag nothing 1 --out out"
+
+    n: Annotated[int, Option("N", "its number", "1", read=int, positional=True)]
+
+
+READ = partial(read, kinds={**REQUESTS, "nothing": Nothing})
+
+
+def nothing(asked: Request, output: Output) -> int:
     """A stage that does nothing but leave the least that an output holds."""
-    out = Path(argv[argv.index("--out") + 1])
+    out = output.folder
     out.mkdir(parents=True)
     (out / "metrics.json").write_text('{"n": 1}')
     (out / "manifest.json").write_text("{}")
@@ -68,7 +85,10 @@ def cluster(workers: int, folder: Path) -> Iterator[tuple[str, list[int]]]:
 def timed(campaign: dict[str, Any], run: Run, workers: int, folder: Path, parts: int) -> Iterator[Row]:
     """At each of so many parts of the campaign: time since the first case was done, and memory."""
     made = Campaign.model_validate(campaign)
-    runs, todo = Store(str(folder / "store" / str(workers))), cases(made)
+    runs, todo = (
+        Store(str(folder / "store" / str(workers))),
+        cases(made, READ),
+    )
     with cluster(workers, folder) as (address, pids):
         where = Where(runs, runs.below("outputs"), "")
         found = run_cases(made, todo, where, run, folder, scheduler=address)
@@ -107,7 +127,7 @@ def speedup(args: Namespace, folder: Path) -> list[Row]:
         "stages": {"map": "map {bag} --set grid.resolution_m={n:0.05+0*x}"},
         "results": {"scans": "map:scans"},
     }
-    rows = [row for workers in (1, WORKERS) for row in timed(campaign, turtlebag, workers, folder, 1)]
+    rows = [row for workers in (1, WORKERS) for row in timed(campaign, run_stage, workers, folder, 1)]
     return [{**row, "speed_up": rows[0]["wall_s"] / row["wall_s"]} for row in rows]
 
 

@@ -123,8 +123,8 @@ class Unusable(InputError):
 
 def metrics_of(findings: Iterable[Finding]) -> dict[str, list[dict[str, object]]]:
     """Findings as `findings` of metrics.json; nothing without any."""
-    found = [finding.as_metrics() for finding in dict.fromkeys(findings)]
-    return {"findings": found} if found else {}
+    rows = [finding.as_metrics() for finding in dict.fromkeys(findings)]
+    return {"findings": rows} if rows else {}
 
 
 def lines_of(findings: Iterable[Finding]) -> tuple[str, ...]:

@@ -18,8 +18,9 @@ import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NoReturn
 
-from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.files import JUNK, Signature, require_same, signatures
 from turtlebag.datasets.output_rules import (
     MANIFEST,
@@ -45,7 +46,7 @@ class OutputLock:
 
     def __init__(self, out: Path, *, force: bool, inputs: Iterable[Path]) -> None:
         self.out, self.force, self.place = out, force, place_of(out)
-        self.growing = self.kept = False
+        self._growing = self._kept = False
         self._inputs: dict[Path, dict[Path, Signature]] = {}
         inputs = list(inputs)
         self.watch(inputs)
@@ -71,36 +72,34 @@ class OutputLock:
             if path not in self._inputs and os.path.exists(path):
                 self._inputs[path] = signatures(path)
 
-    def begin(self) -> Path:
-        """The folder to write into, rid of what a killed process left: a bag or a session is set aside."""
-        if self.growing:
+    @contextmanager
+    def growth(self, *, save_bag: bool = False) -> Iterator[Path]:
+        """The folder to write into, rid of what a killed process left, and of what has grown when that fails.
+
+        With `save_bag` a bag or session in it is set aside when the disk is full, the work fails or raises
+        Unfinished; bad input and Ctrl-C leave nothing.
+        """
+        if self._growing:
             raise InputError(f"{self.out}: is already being written")
         self.spare()
-        self.growing = True
-        self.clear()
-        return self.partial
-
-    def clear(self) -> None:
-        """Remove what has grown; the lock stays."""
-        if not self.kept:
-            _empty(self.partial, but=MARKER)
+        self._growing = True
+        try:
+            self._clear()
+            yield self.partial
+        except Exception as error:
+            refused = isinstance(error, InputError) and not isinstance(error, Unfinished)
+            self._fail(error, None if refused or not save_bag else self._rescued())
+        finally:
+            with suppress(OSError):
+                self._clear()
+            self._growing = False
 
     def spare(self) -> None:
         """Set aside a bag or a session that a killed process left."""
         if self._worth_saving():
             log.warning("what an unfinished command left is now in %s", _way_out(self._set_aside()))
-            _close(self._folder)
-            self._folder = self._acquired()
-
-    def rescued(self) -> str | None:
-        """Set aside a bag or a session that has grown, and say where it is; None where there is none."""
-        if not self._worth_saving():
-            return None
-        try:
-            aside = self._set_aside()
-        except OSError:
-            self.kept, aside = True, self.partial
-        return f"what was recorded is kept in {_way_out(aside)}"
+            before, self._folder = self._folder, self._acquired()
+            _close(before)
 
     def finish(self, file: Path | None = None) -> None:
         """Put the folder, or a single file of it, in the output's place; InputError when that cannot be done,
@@ -116,7 +115,7 @@ class OutputLock:
             with uninterrupted():
                 old = self._swapped(file or self.partial)
         except (InputError, OSError) as error:
-            self.kept = True
+            self._kept = True
             with suppress(OSError):
                 (self.partial / MARKER).unlink()
             said = error if isinstance(error, InputError) else f"{self.out}: {error.strerror}"
@@ -131,9 +130,8 @@ class OutputLock:
     def release(self) -> None:
         """Release the lock, and remove the folder if nothing is in it that a killed process left."""
         with suppress(OSError):
-            unused = self.growing or not _content(self.partial)
-            if unused and not self.kept and _is_same(self._folder, self.partial):
-                self.clear()
+            if self._is_ours() and (self._growing or not _content(self.partial)):
+                self._clear()
                 shutil.rmtree(self.partial)
         self._remove_parents()
         _close(self._folder)
@@ -163,8 +161,39 @@ class OutputLock:
                 raise
             raise InputError(f"{self.partial}: cannot be created ({error.strerror})") from None
 
+    def _clear(self) -> None:
+        """Remove what has grown, if it is still there and shall not be kept."""
+        if self._is_ours():
+            _empty(self.partial, but=MARKER)
+
+    def _is_ours(self) -> bool:
+        return not self._kept and _is_same(self._folder, self.partial)
+
+    def _fail(self, error: Exception, kept: str | None) -> NoReturn:
+        """Raise the error in one line, if it is the system's, with what is kept of a recording."""
+        text = str(error)
+        if isinstance(error, OSError) and error.errno is not None:
+            text = f"{error.filename or self.out}: {error.strerror}"
+        if kept and (text != str(error) or isinstance(error, Unfinished)):
+            raise Unfinished(f"{text}; {kept}", getattr(error, "code", 1)) from None
+        if kept:
+            log.warning(kept)
+        if text != str(error):
+            raise InputError(text) from None
+        raise error
+
+    def _rescued(self) -> str | None:
+        """Set aside a bag or a session that has grown, and say where it is; None where there is none."""
+        if not self._worth_saving():
+            return None
+        try:
+            aside = self._set_aside()
+        except OSError:
+            self._kept, aside = True, self.partial
+        return f"what was recorded is kept in {_way_out(aside)}"
+
     def _worth_saving(self) -> bool:
-        return not self.kept and any(next(self.partial.glob(kind), None) for kind in WORTH_SAVING)
+        return self._is_ours() and any(next(self.partial.glob(kind), None) for kind in WORTH_SAVING)
 
     def _set_aside(self) -> Path:
         """Move what has grown to `OUT.unfinished`, or the first such name that is free."""

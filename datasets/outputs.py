@@ -16,9 +16,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.files import JUNK, sha256_file
-from turtlebag.datasets.output_lock import OutputLock, lock_output, log, watch_inputs
+from turtlebag.datasets.output_lock import lock_output, watch_inputs
 from turtlebag.datasets.output_rules import MANIFEST, MARKER, require_free
 
 PACKAGES = (
@@ -44,11 +43,10 @@ def staged_output(
     """Folder `OUT.partial` to write into; renamed to `out` on success, removed on any error.
 
     Raises InputError at once when `out` exists and may not be replaced, or cannot be written, or another
-    process is writing it; and at the end when an input is not what it was. With `save_bag` a bag or session
-    that has begun to grow is kept as `OUT.unfinished` when the disk is full, the work fails or raises
-    Unfinished; bad input and Ctrl-C leave nothing.
+    process is writing it; and at the end when an input is not what it was. `save_bag` is for recordings: see
+    `OutputLock.growth`.
     """
-    with lock_output(out, force=force, inputs=inputs) as lock, _growing(lock, save_bag=save_bag) as partial:
+    with lock_output(out, force=force, inputs=inputs) as lock, lock.growth(save_bag=save_bag) as partial:
         require_free(out, force=force, kind="folder")
         yield partial
         lock.finish()
@@ -57,43 +55,21 @@ def staged_output(
 @contextmanager
 def staged_file(out: Path, *, force: bool = False) -> Iterator[Path]:
     """A file in `OUT.partial` to write; moved to `out` on success, else removed, as `staged_output`."""
-    with lock_output(out, force=force) as lock, _growing(lock) as partial:
+    with lock_output(out, force=force) as lock, lock.growth() as partial:
         require_free(out, force=force, kind="file")
         yield partial / out.name
         lock.finish(partial / out.name)
 
 
-@contextmanager
-def _growing(lock: OutputLock, *, save_bag: bool = False) -> Iterator[Path]:
-    try:
-        yield lock.begin()
-    except BaseException as error:
-        refused = isinstance(error, InputError) and not isinstance(error, Unfinished)
-        kept = lock.rescued() if save_bag and isinstance(error, Exception) and not refused else None
-        with suppress(OSError):
-            lock.clear()
-        text = str(error)
-        if isinstance(error, OSError) and error.errno is not None:
-            text = f"{error.filename or lock.out}: {error.strerror}"
-        if kept and (text != str(error) or isinstance(error, Unfinished)):
-            raise Unfinished(f"{text}; {kept}", getattr(error, "code", 1)) from None
-        if kept:
-            log.warning(kept)
-        if text != str(error):
-            raise InputError(text) from None
-        raise
-    finally:
-        lock.growing = False
-
-
 @dataclass(frozen=True)
 class Output:
-    """The folder that a stage writes, and how: `force` replaces an earlier output, `command` is the command
-    line for the manifest. InputError when the folder exists and may not be replaced."""
+    """The folder that a stage writes, and how: `force` replaces an earlier output; `command` and `request`,
+    what was asked for, go into the manifest. InputError when the folder exists and may not be replaced."""
 
     folder: Path
     force: bool = False
     command: Sequence[str] = ()
+    request: Mapping[str, Any] = field(default_factory=dict)
     _begun_s: float = field(default_factory=time.perf_counter, init=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -125,7 +101,8 @@ class Output:
             write_json(partial / "metrics.json", metrics)
         if config is not None:
             (partial / "config.yaml").write_text(config)
-        write_manifest(partial, stage, self.command, inputs, wall_s=self.wall_s, seed=seed, extra=extra)
+        more = {**({"request": self.request} if self.request else {}), **(extra or {})}
+        write_manifest(partial, stage, self.command, inputs, wall_s=self.wall_s, seed=seed, extra=more)
 
 
 NO_CONTENT = (MANIFEST, MARKER, *JUNK)
@@ -202,12 +179,23 @@ def write_manifest(
             "packages": package_versions(),
             "python": platform.python_version(),
             "platform": platform.platform(),
+            "cpu": cpu_name(),
             "cpus": os.cpu_count(),
             "finished_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "wall_s": round(wall_s, 3),
             **(extra or {}),
         },
     )
+
+
+@cache
+def cpu_name() -> str:
+    """What processor this is, as far as the system says: another one may round otherwise."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith(("model name", "CPU part")):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 @cache

@@ -1,9 +1,18 @@
-"""Numbers of things in messages, and their articles."""
+"""Numbers of things in messages, their articles, and lists of names."""
+
+from collections.abc import Iterable
 
 
 def counted(count: int, noun: str) -> str:
     """`1 map`, `2 maps`."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """The first dozen names in order, and how many more there are; `none` without any."""
+    ordered = sorted(names)
+    more = [f"{len(ordered) - 12} more"] if len(ordered) > 12 else []
+    return ", ".join(ordered[:12] + more) or "none"
 
 
 def one(noun: str) -> str:

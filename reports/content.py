@@ -223,13 +223,15 @@ def _goals_sentence(goals: Sequence[Mapping[str, Any]]) -> str:
 def _map_verdict(metrics: Mapping[str, Any], odometry_m: float | None) -> tuple[str, str]:
     scans = metrics.get("scans", "?")
     near = lookup(metrics, "map.occupied_error_m.within_one_cell")
-    ate = lookup(metrics, "ate_m.rmse")
+    fitted = metrics.get("fitted")
+    ate = lookup(metrics, "ate_m.rmse" if fitted is None else "ate_aligned_m.rmse")
     relations = lookup(metrics, "relations.trans_m.mean")
     if near is not None and ate is not None:
+        after = "" if fitted is None else f" after a fit: {fitted}"
         alone = f" (odometry alone: {shown(odometry_m, 'cm')})" if odometry_m is not None else ""
         sentence = (
             f"{shown(near, 'percent')} of the wall cells lie within one cell of a true surface; "
-            f"trajectory error {shown(ate, 'cm')} RMSE{alone}."
+            f"trajectory error {shown(ate, 'cm')} RMSE{alone}{after}."
         )
         return (GOOD if near >= GOOD_WALLS else BAD), sentence
     if relations is not None:

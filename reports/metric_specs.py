@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import plain_values
@@ -24,6 +26,8 @@ class MetricSpec(Settings):
     seldom: bool = False
     evo: str = ""
     judged: bool = True
+    tolerance: Annotated[float, Field(ge=0.0)]
+    """By how much it may differ where it is computed on another machine, in the unit it is stored in."""
 
 
 class Section(Settings):
@@ -43,6 +47,7 @@ def sections(told: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Section, ...]
             heading = dict(part)
             numbers = heading.pop("numbers")
             common = {name: heading.pop(name, ()) for name in ("sources", "topics", "against")}
+            common["tolerance"] = heading.pop("tolerance")
             specs = []
             for path, entry in numbers.items():
                 whole = entry if "label" in entry else {**known[path], **entry}
@@ -58,6 +63,26 @@ SECTIONS = dict(sections(_told))
 SYSTEMS, (_goals,) = SECTIONS.pop("systems"), SECTIONS.pop("goals")
 GOAL_NUMBERS = _goals.specs
 SPECS = {kind: tuple(spec for part in parts for spec in part.specs) for kind, parts in SECTIONS.items()}
+
+TOLERANCES = {kind: {spec.path: spec.tolerance for spec in specs} for kind, specs in SPECS.items()}
+TOLERANCES["systems"] = {spec.path: spec.tolerance for part in SYSTEMS for spec in part.specs}
+TOLERANCES["goals"] = {spec.path: spec.tolerance for spec in GOAL_NUMBERS}
+OTHER_TOLERANCE = 0.05
+"""As a share, of numbers that are not shown."""
+
+
+def tolerance_of(kind: str, path: str, value: object) -> float:
+    """By how much a number may differ from the same, computed on another machine."""
+    parts = path.split(".")
+    if parts[0] == "goals":
+        kind, path = "goals", parts[-1]
+    elif kind == "systems":
+        path = ".".join(parts[2:])  # systems.NAME.PATH
+    known = TOLERANCES.get(kind, {}).get(path)
+    if known is not None:
+        return known
+    return OTHER_TOLERANCE * abs(value) if isinstance(value, int | float) else 0.0
+
 
 # Last parts of paths.
 MORE_IS_BETTER = (

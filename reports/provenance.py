@@ -37,12 +37,12 @@ def recipe(groups: Sequence[Group]) -> list[Step]:
     names: dict[str, str] = {}
     for _, reader in stages:
         for entry in reader.manifest.inputs.values():
-            names |= {str(made): label for label, stage in stages if (made := _folder_of(entry, stage))}
+            names |= {str(made): label for label, stage in stages if (made := folder_of(entry, stage))}
     names |= {out.rstrip("/"): label for label, stage in stages if (out := stage.option("out"))}
     return [_step(label, stage, names) for label, stage in stages]
 
 
-def _folder_of(entry: Input, stage: Stage) -> Path | None:
+def folder_of(entry: Input, stage: Stage) -> Path | None:
     """Where the stage's folder lay, as its reader wrote it, if what was read is of that stage by its hashes:
     so a recipe does not depend on from where, or how, the stages are named."""
     read = entry.path.parent if entry.path.name in entry.sha256 else entry.path  # of a file its folder

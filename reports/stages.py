@@ -47,6 +47,8 @@ class Manifest(BaseModel):
 
     stage: str
     command: list[str] = []
+    request: dict[str, Any] | None = None
+    interrupted: bool = False
     seed: int | None = None
     inputs: dict[str, Input] = {}
     outputs: dict[str, str] = {}
@@ -54,6 +56,8 @@ class Manifest(BaseModel):
     systems: list[SystemFiles] = []
     packages: dict[str, str] = {}
     python: str = "?"
+    platform: str = "?"
+    cpu: str = "?"
     world: str | None = None
     robot: str | None = None
     task: str | None = None

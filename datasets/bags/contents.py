@@ -12,6 +12,7 @@ import numpy as np
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.frames import FrameTree
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
+from turtlebag.datasets.bags.stamps import check_order
 from turtlebag.datasets.bags.topics import (
     CLOUD,
     IMU,
@@ -25,7 +26,7 @@ from turtlebag.datasets.bags.topics import (
     typestore,
 )
 from turtlebag.datasets.findings import Finding
-from turtlebag.datasets.plurals import counted
+from turtlebag.datasets.plurals import counted, listed
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import ImuLog, Stamps
 
@@ -111,9 +112,9 @@ class Contents:
 
     def read_headers(self, name: str) -> tuple[Stamps, Stamps]:
         """Stamps and log times [ns] of one of the `others`."""
-        found = self._decoded(name, self.others[name], decode.header)
-        stamps = np.array([stamp for _, (stamp, _) in found], dtype=np.int64)
-        return stamps, np.array([time for time, _ in found], dtype=np.int64)
+        headers = self._decoded(name, self.others[name], decode.header)
+        stamps = np.array([stamp for _, (stamp, _) in headers], dtype=np.int64)
+        return stamps, np.array([time for time, _ in headers], dtype=np.int64)
 
     def _transforms(self, topics: dict[str, Raw], *, static: bool) -> None:
         for name, raw in topics.items():
@@ -133,10 +134,10 @@ class Contents:
         return self._odometry[name]
 
     @staticmethod
-    def _columns(found: Timed[decode.RawPose]) -> OdometryColumns:
-        links = Counter((pose.frame, pose.child) for _, pose in found)
+    def _columns(poses: Timed[decode.RawPose]) -> OdometryColumns:
+        links = Counter((pose.frame, pose.child) for _, pose in poses)
         main = links.most_common(1)[0][0] if links else ("", "")
-        ours = [(time, pose) for time, pose in found if (pose.frame, pose.child) == main]
+        ours = [(time, pose) for time, pose in poses if (pose.frame, pose.child) == main]
         rows = np.array([(pose.x, pose.y, *pose.quaternion) for _, pose in ours]).reshape(-1, 6)
         return OdometryColumns(
             np.array([pose.stamp_ns for _, pose in ours], dtype=np.int64),
@@ -147,14 +148,17 @@ class Contents:
             links,
         )
 
-    def read_imu(self) -> ImuLog | None:
+    def read_imu(self, findings: list[Finding]) -> ImuLog | None:
         """Samples of /imu or of the only IMU."""
         name = "/imu" if "/imu" in self.imu else next(iter(self.imu), None)
         if name is None or (name != "/imu" and len(self.imu) > 1):
             return None
-        samples = [sample for _, sample in self.imu_samples(name)]
+        timed = self.imu_samples(name)
+        samples = [sample for _, sample in timed]
+        stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+        findings += check_order(name, stamps, np.array([time for time, _ in timed], dtype=np.int64))
         return ImuLog(
-            np.array([sample.stamp_ns for sample in samples], dtype=np.int64),
+            stamps,
             np.array([sample.angular for sample in samples], dtype=np.float64).reshape(-1, 3),
             np.array([sample.linear for sample in samples], dtype=np.float64).reshape(-1, 3),
         )
@@ -165,15 +169,15 @@ class Contents:
 
     def _decoded(self, name: str, raw: Raw, read: Callable[[decode.Cursor], Decoded]) -> Timed[Decoded]:
         """The intact messages of a topic with their log times [ns]; the others become a finding."""
-        found, damaged = [], []
+        intact, damaged = [], []
         for log_time, data in raw:
             try:
-                found.append((log_time, read(self.bag.cursor(data))))
+                intact.append((log_time, read(self.bag.cursor(data))))
             except decode.BadMessage:
                 damaged.append(log_time)
         if damaged:
             self.note_damaged(name, damaged, len(raw))
-        return found
+        return intact
 
     def note_damaged(self, name: str, log_times: list[int], total: int) -> None:
         """Note that of all messages of a topic, those of some log times [ns] cannot be decoded."""
@@ -193,5 +197,5 @@ class Contents:
         # asked last: the definitions of all standard types take long to load
         unknown = [f"{name} ({kind})" for name, kind in others.items() if kind not in typestore().fielddefs]
         if unknown:
-            what = f"topics of unknown types: {', '.join(sorted(unknown))}"
+            what = f"topics of unknown types: {listed(unknown)}"
             yield Finding("unknown types", "", what, len(unknown), remedy="skipped")

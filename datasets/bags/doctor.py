@@ -91,7 +91,7 @@ def _orders(contents: Contents, times: Times) -> Iterator[Finding]:
         name = f"/tf: {link[0]} -> {link[1]}"
         moving = link in contents.frames.moving
         kinds = ("time goes backwards", *(["gaps"] if moving and link[0] != "map" else []))
-        yield from (found for found in check_order(name, stamps, log_times) if found.kind in kinds)
+        yield from (one for one in check_order(name, stamps, log_times) if one.kind in kinds)
         if moving:
             yield from _standing(name, stamps, log_times)
 
@@ -130,7 +130,7 @@ def _odometries(contents: Contents) -> Iterator[Finding]:
         if "odom" in link[0]:
             links: list[Finding] = []
             of_link(contents.frames, link, links)
-            yield from (found for found in links if found.kind not in ("gaps", "repeated stamps"))
+            yield from (one for one in links if one.kind not in ("gaps", "repeated stamps"))
 
 
 def _connections(contents: Contents) -> Iterator[Finding]:

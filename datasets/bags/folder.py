@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Self, cast
@@ -17,55 +16,12 @@ from turtlebag.datasets.bags.topics import (
     metadata_text,
 )
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.growing_file import GrowingFile
 
 CHUNK_BYTES = 128 * 1024
 """A chunk is handed to the operating system when its content has this size ..."""
 CHUNK_NS = 1_000_000_000
 """... or spans this time, whichever comes first: so much is lost at the most when the writer is killed."""
-
-
-class _Chunks:
-    """The stream that the MCAP library writes to: a file that ends with a whole chunk, whatever happens.
-
-    Bytes are held until `flush`, and where they have no room the file is cut to what it was before.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("xb", buffering=0)
-        self._path, self._size, self._rest = path, 0, bytearray()
-
-    def write(self, data: bytes) -> int:
-        """Take bytes."""
-        self._rest += data
-        return len(data)
-
-    def tell(self) -> int:
-        """Where the next byte goes."""
-        return self._size + len(self._rest)
-
-    @property
-    def held(self) -> int:
-        """How many bytes are held."""
-        return len(self._rest)
-
-    def flush(self) -> None:
-        """Hand what is held to the operating system; OSError when it has no room."""
-        left = memoryview(bytes(self._rest))
-        try:
-            while left:
-                left = left[self._file.write(left) :]
-        except OSError:
-            os.ftruncate(self._file.fileno(), self._size)
-            self._file.seek(self._size)
-            raise
-        self._size = self.tell()
-        self._rest.clear()
-
-    def close(self, least: int) -> None:
-        """Close the file; one of no more than so many bytes is removed."""
-        self._file.close()
-        if self._size <= least:
-            self._path.unlink()
 
 
 class BagFolder:
@@ -77,7 +33,7 @@ class BagFolder:
             folder.mkdir(parents=True, exist_ok=True)
             if (folder / METADATA_FILE).exists():
                 raise FileExistsError
-            self._file = _Chunks(folder / DATA_FILE)
+            self._file = GrowingFile(folder / DATA_FILE)
             self._mcap = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_BYTES, enable_data_crcs=True)
             self._mcap.start("ros2", "turtlebag")
             if custom:  # at the beginning, where a crash cannot take it away
@@ -101,10 +57,10 @@ class BagFolder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and not any(self._counts):
+        if kind is not None and not self._closed and not any(self._counts):
             self._closed = True
-            self._file.close(least=self._file.tell())
-            return
+            self._file.close()
+            (self._folder / DATA_FILE).unlink()
         try:
             self.close()
         except OSError:
@@ -146,7 +102,7 @@ class BagFolder:
         if abs(log_time_ns - self._flushed_ns) >= CHUNK_NS:
             self._mcap.flush()
             self._flushed_ns = None
-        elif self._file.held:
+        elif self._file.tell() > self._file.size:
             self._file.flush()
 
     @property
@@ -172,4 +128,6 @@ class BagFolder:
             unfinished.unlink(missing_ok=True)
             raise
         finally:
-            self._file.close(least=self._begun)
+            self._file.close()
+            if self._file.size <= self._begun:
+                (self._folder / DATA_FILE).unlink()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
+from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
 from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.plausibility import far_away
 from turtlebag.datasets.findings import Finding
-from turtlebag.datasets.plurals import counted, verb
+from turtlebag.datasets.plurals import counted, listed, verb
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import rotations
 
@@ -86,10 +87,10 @@ class FrameTree:
 
     def parents(self) -> dict[str, list[str]]:
         """The parents of each frame that has one, sorted."""
-        found: dict[str, list[str]] = {}
+        parents: dict[str, list[str]] = {}
         for parent, child in sorted({*self.fixed, *self.moving}):
-            found.setdefault(child, []).append(parent)
-        return found
+            parents.setdefault(child, []).append(parent)
+        return parents
 
     def base(self, otherwise: str = BASES[0]) -> str:
         """Name of the robot's base frame among those seen, or else that one."""
@@ -109,18 +110,21 @@ class FrameTree:
 
     def _path(self, target: str, *, up: bool) -> dict[str, Array]:
         """`T_target_frame` of every frame below a target or, with `up`, connected to it in any direction."""
-        found = {target: np.eye(4)}
+        beside: dict[str, list[tuple[str, Array]]] = {}
+        for (parent, child), T_parent_child in self.fixed.items():
+            beside.setdefault(parent, []).append((child, T_parent_child))
+            if up:
+                T_child_parent: Array = np.linalg.inv(T_parent_child).astype(np.float64)
+                beside.setdefault(child, []).append((parent, T_child_parent))
+        T_target = {target: np.eye(4)}
         queue = deque([target])
         while queue:
             frame = queue.popleft()
-            for (parent, child), T_parent_child in self.fixed.items():
-                if parent == frame and child not in found:
-                    found[child] = found[frame] @ T_parent_child
-                    queue.append(child)
-                elif up and child == frame and parent not in found:
-                    found[parent] = found[frame] @ np.linalg.inv(T_parent_child)
-                    queue.append(parent)
-        return found
+            for other, T_frame_other in beside.get(frame, ()):
+                if other not in T_target:
+                    T_target[other] = T_target[frame] @ T_frame_other
+                    queue.append(other)
+        return T_target
 
     def findings(self) -> Iterator[Finding]:
         """What is wrong with the transforms that were added."""
@@ -134,10 +138,11 @@ class FrameTree:
         parents = self.parents()
         for child, several in parents.items():
             if len(several) > 1:
-                what = f"frame '{child}' has several parents: {', '.join(several)}"
+                what = f"frame '{child}' has several parents: {listed(several)}"
                 yield Finding("two parents", "", what, len(several))
         if loop := _loop(parents):
-            what = f"the transforms form a loop: {' -> '.join(loop)}"
+            named = loop if len(loop) <= 13 else [*loop[:9], f"{len(loop) - 13} more", *loop[-4:]]
+            what = f"the transforms form a loop: {' -> '.join(named)}"
             yield Finding(
                 "transform loop", "", what, len(loop) - 1, remedy="the way down from the base is used"
             )
@@ -145,15 +150,10 @@ class FrameTree:
 
 def _loop(parents: dict[str, list[str]]) -> list[str]:
     """Frames of a loop from one to itself, parents first; empty without any."""
-    clear: set[str] = set()
-    for start in sorted(parents):
-        above = [start]
-        while above and above[-1] not in clear:
-            upwards = [parent for parent in parents.get(above[-1], ()) if parent not in clear]
-            if not upwards:
-                clear.add(above.pop())
-            elif upwards[0] in above:
-                return [*above[above.index(upwards[0]) :], upwards[0]][::-1]
-            else:
-                above.append(upwards[0])
+    try:
+        TopologicalSorter(parents).prepare()
+    except CycleError as error:
+        loop: list[str] = error.args[1][:-1]
+        first = loop.index(min(loop))
+        return [*loop[first:], *loop[: first + 1]]
     return []

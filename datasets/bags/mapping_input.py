@@ -17,6 +17,7 @@ from turtlebag.datasets.bags.stamps import check_order, running
 from turtlebag.datasets.bags.topics import CLOUD, SCAN, way_out
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import Finding, Unusable, lines_of
+from turtlebag.datasets.plurals import listed
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Recording, Stamps
 
@@ -66,7 +67,7 @@ def recording_of(
     if T_base_lidar is None:
         T_base_lidar, lidar = _mounted(contents, topic, odometry, scans[0].frame, lidar, findings)
     T_odom_base = odometry_at(odometry, topic, stamps, log_times, findings)
-    imu = contents.read_imu()
+    imu = contents.read_imu(findings)
     findings += contents.findings()
     return Recording(
         source=str(path),
@@ -83,16 +84,16 @@ def recording_of(
 
 
 def _of_one_laser(
-    topic: str, found: list[tuple[int, RawScan]], findings: list[Finding]
+    topic: str, scans: list[tuple[int, RawScan]], findings: list[Finding]
 ) -> tuple[list[RawScan], Stamps]:
     """The scans of the most frequent frame and their log times: two lasers do not sit at one place."""
-    frames = Counter(scan.frame for _, scan in found)
+    frames = Counter(scan.frame for _, scan in scans)
     main, count = frames.most_common(1)[0]
     if len(frames) > 1:
-        named = ", ".join(f"'{name}' ({number})" for name, number in frames.most_common())
-        what, others = f"messages of {len(frames)} frames: {named}", len(found) - count
+        named = ", ".join(f"'{name}' ({number})" for name, number in frames.most_common(12))
+        what, others = f"messages of {len(frames)} frames: {named}", len(scans) - count
         findings.append(Finding("mixed frames", topic, what, others, remedy="the most frequent is used"))
-    ours = [(time, scan) for time, scan in found if scan.frame == main]
+    ours = [(time, scan) for time, scan in scans if scan.frame == main]
     return [scan for _, scan in ours], np.array([time for time, _ in ours], dtype=np.int64)
 
 
@@ -123,8 +124,7 @@ def _mounted(
 
 def unplaced(frames: FrameTree, topic: str, base: str, sensor: str) -> Finding:
     """That no fixed transforms say where the sensor of a topic sits."""
-    known = ", ".join(sorted(frames.frames())) or "none"
-    what = f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known})"
+    what = f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {listed(frames.frames())})"
     kind = "frames do not connect" if frames.fixed else "no static transforms"
     remedy = f"an upright laser at the robot's centre is assumed; {_LASER}"
     return Finding(kind, topic, what, remedy=remedy)
@@ -148,19 +148,18 @@ def _scan_topic(contents: Contents, wanted: str | None) -> str:
     if len(preferred) == 1:
         return preferred[0]
     if names:
-        listed = ", ".join(names)
-        raise InputError(f"{path}: no /scan, and several LaserScan topics; choose one with --topic: {listed}")
+        choice = ", ".join(names)
+        raise InputError(f"{path}: no /scan, and several LaserScan topics; choose one with --topic: {choice}")
     raise NoScans(f"{path}: {no_scans(contents)}", clouds_in(contents))
 
 
 def no_scans(contents: Contents) -> Finding:
     """Why there are no scans to map with, and the way out if there is one."""
     damaged = [*contents.findings(), *contents.bag.findings]
-    why = next(
-        (f for f in damaged if SCAN in contents.types.get(f.topic, ()) or f.kind == "damaged file"), None
-    )
-    if why is not None:
-        return Finding("no scans", "", f"no /scan could be read: {why}")
+    for finding in damaged:
+        of_scans = finding.kind == "damaged messages" and SCAN in contents.types[finding.topic]
+        if of_scans or finding.kind == "damaged file":
+            return Finding("no scans", "", f"no /scan could be read: {finding}")
     what = "no /scan (sensor_msgs/LaserScan) messages in this bag"
     return Finding("no scans", "", what, remedy=way_out(contents.types) or _topics(contents))
 
@@ -169,11 +168,11 @@ def _wanted_topic(contents: Contents, wanted: str) -> str:
     if wanted in contents.scans:
         return wanted
     types = contents.types.get(wanted, {})
-    found = f"of type {' and '.join(types)}" if types else "not in this bag"
+    state = f"of type {' and '.join(types)}" if types else "not in this bag"
     if SCAN in types:
-        found = "without a readable message"
-    told = way_out({wanted: types}) or _topics(contents)
-    message = f"{contents.bag.path}: --topic {wanted} is {found}; {told}"
+        state = "without a readable message"
+    way = way_out({wanted: types}) or _topics(contents)
+    message = f"{contents.bag.path}: --topic {wanted} is {state}; {way}"
     raise NoScans(message, [wanted] if CLOUD in types else [])
 
 
@@ -183,4 +182,4 @@ def clouds_in(contents: Contents) -> list[str]:
 
 
 def _topics(contents: Contents) -> str:
-    return f"its topics: {', '.join(sorted(contents.types)[:12]) or 'none'}"
+    return f"its topics: {listed(contents.types)}"

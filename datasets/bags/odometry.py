@@ -74,7 +74,7 @@ def of_topic(columns: OdometryColumns, name: str, otherwise: str, findings: list
     """The odometry of a topic; its base is `otherwise` where it names none."""
     if len(columns.links) > 1:
         named = ", ".join(
-            f"'{parent} -> {child}' ({n})" for (parent, child), n in columns.links.most_common()
+            f"'{parent} -> {child}' ({n})" for (parent, child), n in columns.links.most_common(12)
         )
         what = f"messages of {len(columns.links)} frames: {named}"
         count = columns.links.total() - len(columns.stamps_ns)

@@ -153,7 +153,7 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
     if T_base_lidar is not None:
         require_near(contents, chosen, odometry.base, frame, T_base_lidar)
     T_odom_base = odometry_at(odometry, chosen, stamps, log_times, findings)
-    imu = contents.read_imu()
+    imu = contents.read_imu(findings)
     findings += contents.findings()
     return Recording3D(
         source=str(path),

@@ -16,6 +16,7 @@ from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.topics import Topic
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import lines_of
+from turtlebag.datasets.plurals import listed
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory
 
@@ -127,7 +128,7 @@ def _decoded(
 def _missing(topic: str, seen: dict[str, str], what: str) -> str:
     if topic in seen:
         return f"{topic} holds no {what} (its type is {seen[topic]})"
-    return f"no {topic} in this bag; its topics: {', '.join(sorted(seen)[:12]) or 'none'}"
+    return f"no {topic} in this bag; its topics: {listed(seen)}"
 
 
 def bag_info(path: Path) -> BagInfo:

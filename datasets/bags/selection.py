@@ -13,7 +13,7 @@ from turtlebag.datasets.bags.source import Bag
 from turtlebag.datasets.bags.topics import TRANSFORMS, Message, Topic, typestore
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import Finding
-from turtlebag.datasets.plurals import counted
+from turtlebag.datasets.plurals import counted, listed
 
 _LONGEST_S = 1e10
 """Longer than any recording, and no more than a stamp can hold."""
@@ -114,4 +114,4 @@ class _Links:
 def _require_there(bag: Bag, option: str, what: str, wanted: Collection[str], there: Collection[str]) -> None:
     for name in wanted:
         if there and name not in there:
-            raise InputError(f"{option} {name}: no such {what}; {bag.path} has {', '.join(sorted(there))}")
+            raise InputError(f"{option} {name}: no such {what}; {bag.path} has {listed(there)}")

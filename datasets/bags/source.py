@@ -158,6 +158,12 @@ def is_bag(path: Path) -> bool:
     return _kind_of(path) is not None or PurePosixPath(path.name.lower()).suffix in SUFFIXES
 
 
+def is_carmen_log(path: Path) -> bool:
+    """Whether a file is a CARMEN log, by its name."""
+    endings = path.name.lower().split(".")[1:]
+    return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(endings))
+
+
 def _open_packed(path: Path) -> Bag:
     content, problem = read_unpacked(path)
     kind = _kind_by(content, path)
@@ -190,6 +196,9 @@ def _open_folder(path: Path) -> Bag:
             if not findings:
                 what = f"{METADATA_FILE} is missing: the recording may be unfinished"
                 findings.append(Finding("missing metadata", "", what))
+            if kind == "ros1":
+                for file in files:
+                    _kind_of(file)  # which names an older version
             return Bag(path, kind, files, findings)
     raise InputError(f"{path}: no bag in this folder (no {METADATA_FILE}, .mcap, .db3 or .bag file)")
 

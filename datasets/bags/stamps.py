@@ -19,22 +19,22 @@ _GAP_STEPS = 5.0
 
 def running(topic: str, stamps: ArrayLike, log_times: Stamps, findings: list[Finding]) -> Stamps:
     """The stamps (n,) [ns], or for a clock that never ran the times of recording."""
-    found = np.asarray(stamps, dtype=np.int64)
-    if stands_still(found):
-        what = f"all {len(found)} stamps are {found[0] * 1e-9:g} s"
+    times = np.asarray(stamps, dtype=np.int64)
+    if stands_still(times):
+        what = f"all {len(times)} stamps are {times[0] * 1e-9:g} s"
         useless = stands_still(log_times)
         remedy = "and so are the recording times" if useless else "the recording times are used instead"
-        findings.append(Finding("no time", topic, what, len(found), int(log_times[0]), remedy))
-        return found if useless else log_times
-    return found
+        findings.append(Finding("no time", topic, what, len(times), int(log_times[0]), remedy))
+        return times if useless else log_times
+    return times
 
 
 def check_order(topic: str, stamps: ArrayLike, log_times: Stamps, remedy: str = "") -> Iterator[Finding]:
     """Stamps (n,) [ns] that go back or repeat, and gaps; `remedy` is what is done when they go back."""
-    found = np.asarray(stamps, dtype=np.int64)
-    if stands_still(found):
+    times = np.asarray(stamps, dtype=np.int64)
+    if stands_still(times):
         return
-    steps = np.diff(found)
+    steps = np.diff(times)
     back, again = np.flatnonzero(steps < 0), np.flatnonzero(steps == 0)
     if len(back):
         worst = float(steps.min()) * -1e-9
@@ -44,7 +44,7 @@ def check_order(topic: str, stamps: ArrayLike, log_times: Stamps, remedy: str = 
     elif len(again):
         what = f"{counted(len(again), 'message')} with the stamp of the one before"
         yield Finding("repeated stamps", topic, what, len(again), int(log_times[again[0] + 1]))
-    yield from _gaps(topic, found, log_times)
+    yield from _gaps(topic, times, log_times)
 
 
 def _gaps(topic: str, stamps: Stamps, log_times: Stamps) -> Iterator[Finding]:

@@ -18,14 +18,17 @@ from typing import Any
 
 from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.cases import Case, with_places
 from turtlebag.pipeline.campaign.store import Store
-from turtlebag.pipeline.stages.run_again import Run
-from turtlebag.pipeline.terminal.messages import verbosity_kept
+from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 from turtlebag.reports.numbers import lookup
 from turtlebag.reports.stages import read_json
 
+Run = Callable[[Request, Output], int]
+"""Does what a request asks for; gives the exit code."""
 Row = dict[str, Any]
 """A line of the table, by column."""
 Done = tuple[Row, float | None]
@@ -83,7 +86,7 @@ def recipes(case: Case, maker: str) -> dict[str, str]:
     """For each stage a hash of all that makes its output: the same hash is the same output."""
     known = {BAG: f"{case.factors.get(BAG)} {case.bag_version}"}
     for stage, words in case.commands.items():
-        text = json.dumps([maker, with_places(words, known)])
+        text = json.dumps([maker, [with_places(word, known) for word in words]])
         known[stage] = hashlib.sha256(text.encode()).hexdigest()[:32]
     return {stage: known[stage] for stage in case.commands}
 
@@ -175,17 +178,22 @@ class _Work:
         return packed.getvalue()
 
     def _make(self, stage: str) -> None:
-        """Run the command of a stage into its folder."""
+        """Run a stage into its folder."""
         out = self._places[stage]
         words = self._case.commands[stage]
         bag = {BAG: self._bag} if any(f"{{{BAG}}}" in word for word in words) else {}
-        words = with_places(words, {**self._places, **bag})
+        places = {**self._places, **bag}
+        request = self._case.requests[stage].moved(lambda one: type(one)(with_places(str(one), places)))
+        command = ["turtlebag", *(with_places(word, places) for word in words), "--out", str(out)]
         told, said = io.StringIO(), io.StringIO()
         code = None
         try:
             # Streams, settings and libraries belong to the whole process: threads take turns.
             with STREAMS, verbosity_kept(), redirect_stderr(told), redirect_stdout(said):
-                code = self._run([*words, "--quiet", "--out", str(out), "--force"])
+                set_verbosity(-1)
+                code = self._run(request, Output(out, True, command))
+        except InputError as error:
+            raise self._failure(stage, f"turtlebag: {error}") from None
         except (Exception, SystemExit) as error:
             # A defect in one case must not end a campaign of a thousand: it becomes that case's result.
             raise self._failure(stage, f"{type(error).__name__}: {error}") from None

@@ -1,4 +1,4 @@
-"""The cases of a campaign: every combination of levels, with the command lines of its stages."""
+"""The cases of a campaign: every combination of levels, with what it asks of each stage."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
@@ -25,40 +26,49 @@ from turtlebag.pipeline.campaign.campaign_file import (
     Uniform,
     levels_of,
 )
+from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.requests.request import Request
 
 PLACE = re.compile(r"\{([^{}]*)\}")
+Reader = Callable[[Sequence[str]], Request]
+"""Makes a request of a command line; InputError for one that makes none."""
 LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One combination of factor levels and the command line (without --out) of each of its stages.
+    """One combination of factor levels and what it asks of each of its stages: its command line (without
+    --out), and the request that this makes.
 
-    `bag_version` is another when the content of its bag is; empty without a bag.
+    Where its bag and earlier stages lie is in braces. `bag_version` is another when the content of its bag
+    is; empty without a bag.
     """
 
     name: str
     factors: dict[str, Scalar]
     commands: dict[str, list[str]]
+    requests: dict[str, Request]
     bag_version: str = ""
 
 
-def cases(campaign: Campaign) -> list[Case]:
+def cases(campaign: Campaign, read: Reader = read) -> list[Case]:
     """Every case: the full grid, or `sample` draws of it; named by a hash of its levels and what it runs.
 
-    InputError for bags that cannot be listed, and for a command that cannot be filled in.
+    InputError for bags that cannot be listed, and for a command that cannot be filled in or that `read`
+    makes no request of.
     """
     _require_used(campaign)
     versions = find_bags(campaign.bags)
     bags: dict[str, Levels] = {BAG: list(versions)} if versions else {}
     factors = {**bags, **campaign.factors}
     combinations = _grid(factors) if campaign.sample is None else _drawn(campaign, factors)
-    return [_case(campaign, chosen, versions.get(str(chosen.get(BAG)), "")) for chosen in combinations]
+    known = cache(lambda words: read(words))
+    return [_case(campaign, chosen, versions.get(str(chosen.get(BAG)), ""), known) for chosen in combinations]
 
 
-def with_places(words: Sequence[str], places: Mapping[str, object]) -> list[str]:
-    """A command's words with what is known by now of `{bag}` and the stages' names in braces; others stay."""
-    return [PLACE.sub(lambda found: str(places.get(found[1], found[0])), word) for word in words]
+def with_places(text: str, places: Mapping[str, object]) -> str:
+    """A text with what is known by now of `{bag}` and the stages' names in braces; others stay."""
+    return PLACE.sub(lambda found: str(places.get(found[1], found[0])), text)
 
 
 def _require_used(campaign: Campaign) -> None:
@@ -127,7 +137,7 @@ def _text(level: Scalar, levels: Levels) -> LevelText:
     return text
 
 
-def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str) -> Case:
+def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str, read: Reader) -> Case:
     texts: dict[str, str] = {name: _text(chosen[name], levels) for name, levels in campaign.factors.items()}
     # Where the bag and the folders of earlier stages lie is known to who runs them: they stay in braces.
     places = {BAG: f"{{{BAG}}}"} if BAG in chosen else {}
@@ -144,7 +154,15 @@ def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str) -> Ca
             commands[stage] = words
     known = [chosen, commands, *([bag_version] if bag_version else [])]
     digest = hashlib.sha256(json.dumps(known).encode()).hexdigest()
-    return Case(digest[:16], chosen, commands, bag_version)
+    requests = {stage: _request(stage, words, read) for stage, words in commands.items()}
+    return Case(digest[:16], chosen, commands, requests, bag_version)
+
+
+def _request(stage: str, words: Sequence[str], read: Reader) -> Request:
+    try:
+        return read(tuple(words))
+    except InputError as error:
+        raise InputError(f"stages.{stage}: {error}") from None
 
 
 def _words(text: str, stage: str) -> list[str]:

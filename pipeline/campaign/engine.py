@@ -13,9 +13,8 @@ from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.campaign.campaign_file import Campaign
-from turtlebag.pipeline.campaign.case import Done, Where, row_of, run_case
+from turtlebag.pipeline.campaign.case import Done, Run, Where, row_of, run_case
 from turtlebag.pipeline.campaign.cases import Case
-from turtlebag.pipeline.stages.run_again import Run
 from turtlebag.pipeline.terminal.messages import log
 
 THREADS = "threads"

@@ -20,13 +20,14 @@ from turtlebag.datasets.outputs import Output, Stopwatch, package_versions, sha2
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
-from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Where, recipes
-from turtlebag.pipeline.campaign.cases import Case, cases
+from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
+from turtlebag.pipeline.campaign.cases import Case, Reader, cases
 from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
 from turtlebag.pipeline.campaign.results import absent_results, write_results
 from turtlebag.pipeline.campaign.store import UNFINISHED, Store, or_else
 from turtlebag.pipeline.campaign.worst import worst_case
-from turtlebag.pipeline.stages.run_again import Run
+from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import log, track
 
 TELL_S = 60.0
@@ -43,29 +44,26 @@ MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
 def sweep(
     campaign_name: str,
     out: Output,
-    run: Run,
-    parsed: Callable[[list[str]], object] | None = None,
     *,
+    run: Run = run,
+    read: Reader = read,
     store: str | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
 ) -> int:
-    """Run what is left of a campaign, each command line by `run`, and write its results to `out`; 1 when
-    any case failed, or a result is in none of them.
+    """Run what is left of a campaign, each stage by `run`, and write its results to `out`; 1 when any case
+    failed, or a result is in none of them.
 
-    `parsed` is an InputError for a command line that `run` would not take: it is asked of each, before any
-    case runs. Workers keep what they make in `store`, which is `out` itself where no URL is given.
-    It grows in `OUT.partial` and stays there when it is stopped: the same command goes on with it.
+    Of the command lines in the file `read` makes the requests, of all before any case runs. Workers keep what
+    they make in `store`, which is `out` itself where no URL is given. It grows in `OUT.partial` and stays
+    there when it is stopped: the same command goes on with it.
     """
     campaign = load_campaign(campaign_name)
-    todo = cases(campaign)
+    try:
+        todo = cases(campaign, read)
+    except InputError as error:
+        raise InputError(f"{campaign_name}: {error}") from None
     require_scheduler(scheduler)
-    if parsed is not None:
-        for stage, words in dict.fromkeys((s, tuple(w)) for case in todo for s, w in case.commands.items()):
-            try:
-                parsed([*words, "--out", "OUT"])
-            except InputError as error:
-                raise InputError(f"{campaign_name}: stages.{stage}: {error}") from None
     with lock_output(out.folder, force=out.force) as lock:
         lock.spare()
         inputs = _inputs(campaign_name, todo)

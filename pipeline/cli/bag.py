@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.cli.arguments import output, positive, refuse, seconds
-from turtlebag.pipeline.cli.parser import Parser, add_action
-from turtlebag.pipeline.terminal.messages import log, log_notes, print_table, say
+from turtlebag.pipeline.cli.arguments import output
+from turtlebag.pipeline.stages.parser import Parser, add_action, positive
+from turtlebag.pipeline.terminal.messages import log_notes, print_table, say
 
 if TYPE_CHECKING:
     from turtlebag.datasets.bags.reader import BagInfo
-    from turtlebag.datasets.bags.selection import Selection
     from turtlebag.datasets.types import Recording
 
 EXAMPLE = "turtlebag bag info data/record"
@@ -48,35 +47,42 @@ def add_arguments(parser: Parser) -> None:
     )
     text = "playback speed (default: 1, the speed of the recording)"
     sub.option("--rate", "R", text, positive, default=1.0)
-    sub = action(
-        "recover",
-        _recover,
-        "recover the intact messages of a truncated, damaged or unfinished bag",
-        "turtlebag bag recover data/record.partial --out data/record",
-    )
-    sub.add_output()
-    sub = action(
-        "convert",
-        _convert,
-        "convert a bag of ROS 1 or 2 or a CARMEN log to rosbag2, whole or in part",
-        "turtlebag bag convert data/record --from 10 --to 60 --out data/part",
-    )
-    sub.add_output("folder to write the rosbag2 bag to")
-    text = "storage format (default: mcap)"
-    sub.add_argument("--storage", choices=("mcap", "sqlite3"), help=text)
-    sub.repeated("--exclude", "TOPIC", "topic to leave out; may be repeated")
-    text = "drop every transform whose child is FRAME, in /tf and /tf_static; may be repeated"
-    sub.repeated("--exclude-frame", "FRAME", text, _frame)
-    text = "copy from this time on, in seconds from the bag's beginning (default: 0)"
-    sub.option("--from", "S", text, seconds)
-    text = "copy up to this time, in seconds from the bag's beginning (default: its end)"
-    sub.option("--to", "S", text, seconds)
+    for verb, act, text, example in (
+        (
+            "recover",
+            _recover,
+            "recover the intact messages of a truncated, damaged or unfinished bag",
+            "turtlebag bag recover data/record.partial --out data/record",
+        ),
+        (
+            "convert",
+            _convert,
+            "convert a bag of ROS 1 or 2 or a CARMEN log to rosbag2, whole or in part",
+            "turtlebag bag convert data/record --from 10 --to 60 --out data/part",
+        ),
+    ):
+        sub = add_action(actions, verb, text, example)
+        sub.set_defaults(run=act)
+        sub.later = _add_options
+
+
+def _add_options(parser: Parser) -> None:
+    from turtlebag.pipeline.stages.command_line import add_request
+    from turtlebag.pipeline.stages.requests.table import REQUESTS
+
+    verb = parser.prog.removeprefix("turtlebag ")
+    add_request(parser, REQUESTS[verb])
+    if verb == "bag convert":
+        parser.add_output("folder to write the rosbag2 bag to")
+    else:
+        parser.add_output()
 
 
 def _info(args: argparse.Namespace) -> int:
     from turtlebag.datasets.bags.reader import bag_info
+    from turtlebag.datasets.bags.source import is_carmen_log
 
-    if _is_log(args.bag):
+    if is_carmen_log(args.bag):
         from turtlebag.datasets.recordings import load_recording
 
         _print_log(load_recording(args.bag))
@@ -143,71 +149,23 @@ def _play(args: argparse.Namespace) -> int:
 
 
 def _recover(args: argparse.Namespace) -> int:
-    from turtlebag.datasets.bags.recover import recover
+    from turtlebag.pipeline.stages.command_line import request_of
+    from turtlebag.pipeline.stages.requests.bags import RecoverRequest
+    from turtlebag.pipeline.stages.run import run
 
-    out = output(args)
-    with out.staged() as folder:
-        saved = recover(args.bag, folder / "bag")
-        out.finish(folder, "bag recover", {"bag": args.bag})
-    log_notes(saved.notes)
-    span = (saved.end_ns - saved.start_ns) * 1e-9
-    log.info(f"saved {counted(saved.messages, 'message')} over {span:.2f} s -> {args.out}")
-    return 0
-
-
-def _frame(text: str) -> str:
-    """A frame's name without ROS 1's leading slash."""
-    return text.lstrip("/")
+    return run(request_of(RecoverRequest, args), output(args))
 
 
 def _convert(args: argparse.Namespace) -> int:
-    from turtlebag.datasets.bags import convert
-    from turtlebag.datasets.bags.selection import Selection
+    from turtlebag.pipeline.stages.command_line import request_of
+    from turtlebag.pipeline.stages.requests.bags import ConvertRequest
+    from turtlebag.pipeline.stages.run import run
 
-    if not args.bag.exists():
-        raise InputError(f"{args.bag}: no such file or folder")
+    request = request_of(ConvertRequest, args)
     if args.out.suffix in (".gz", ".bz2"):
         raise InputError(f"--out {args.out}: bags are written unpacked; leave out {args.out.suffix}")
     if args.out.suffix == ".bag":
         source = args.bag / "bag" if (args.bag / "bag").is_dir() else args.bag
         way = f"use `rosbags-convert --src {quote(str(source))} --dst {quote(str(args.out))}`"
         raise InputError(f"--out {args.out}: ROS 1 bags are read but not written; {way}")
-    if _is_log(args.bag):
-        why = "a CARMEN log is converted whole; convert it, then the bag that it becomes"
-        refuse(args, ("exclude", "exclude_frame", "from", "to"), why)
-    start_s, end_s = getattr(args, "from") or 0.0, math.inf if args.to is None else args.to
-    if end_s <= start_s:
-        raise InputError(f"--to {end_s:g}: must be later than --from {start_s:g}")
-    selection = Selection(tuple(args.exclude), tuple(args.exclude_frame), start_s, end_s)
-    out = output(args)
-    with out.staged() as folder:
-        count, notes = _to_folder(args, folder / "bag", selection)
-        convert.require_messages(args.bag, count, notes)
-        out.finish(folder, "bag convert", {"bag": args.bag})
-    log_notes(notes)
-    log.info(f"{counted(count, 'message')} -> {args.out}")
-    return 0
-
-
-def _to_folder(args: argparse.Namespace, folder: Path, selection: Selection) -> tuple[int, list[str]]:
-    from turtlebag.datasets.bags import convert
-    from turtlebag.datasets.recordings import load_recording
-
-    if args.storage == "sqlite3":
-        return convert.to_sqlite3(_a_bag(args.bag), folder, selection)
-    if _is_log(args.bag):
-        return convert.carmen_to_mcap(load_recording(args.bag), folder)
-    return convert.to_mcap(args.bag, folder, selection)
-
-
-def _is_log(path: Path) -> bool:
-    from turtlebag.datasets.bags.source import is_bag
-
-    names = path.name.lower().split(".")
-    return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(names[1:]))
-
-
-def _a_bag(path: Path) -> Path:
-    if _is_log(path):
-        raise InputError(f"{path}: a CARMEN log can only be converted to rosbag2 with mcap storage")
-    return path
+    return run(request, output(args))

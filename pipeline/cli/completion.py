@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from turtlebag.pipeline.cli.arguments import map_file
-from turtlebag.pipeline.cli.parser import Parser
+from turtlebag.pipeline.stages.parser import Parser
 
 EXAMPLE = "turtlebag completion bash > turtlebag.bash && source turtlebag.bash"
 SHELLS = ("bash", "zsh", "fish", "tcsh")
@@ -33,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
             action.complete = _name_or_file(action.dest, named[action.dest])  # type: ignore[attr-defined]
         elif action.dest == "names":
             action.choices = list(DATASETS)
-        elif action.type in (Path, map_file) or str(action.metavar).endswith("FILE"):
+        elif action.type is Path or str(action.metavar).endswith("FILE"):
             folder = action.metavar == "DIR"
             action.complete = shtab.DIRECTORY if folder else shtab.FILE  # type: ignore[attr-defined]
     print(shtab.complete(parser, args.shell))
@@ -61,7 +60,7 @@ def _arguments(parser: Parser) -> Iterator[argparse.Action]:
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
-                yield from _arguments(sub)
+                yield from _arguments(sub.ready())
         else:
             yield action
 

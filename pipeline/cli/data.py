@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.registry import DATASETS, MIRROR_VARIABLE, Dataset, fetch
-from turtlebag.pipeline.cli.parser import Parser, add_action
+from turtlebag.pipeline.stages.parser import Parser, add_action
 
 EXAMPLE = "turtlebag data fetch intel"
 

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
-from turtlebag.pipeline.cli.parser import Parser
 from turtlebag.pipeline.setup.missing_package import INSTALL
+from turtlebag.pipeline.stages.parser import Parser
 
 EXAMPLE = "turtlebag doctor --trial"
 

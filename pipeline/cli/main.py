@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
-import re
 import sys
 from collections.abc import Sequence
 from functools import cache
@@ -16,13 +15,14 @@ from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.files import signatures
 from turtlebag.datasets.output_lock import lock_output, release_all
 from turtlebag.pipeline.cli.arguments import named_inputs
-from turtlebag.pipeline.cli.parser import REMOVED, RENAMED, Parser, add_action
 from turtlebag.pipeline.setup.missing_package import missing_package
+from turtlebag.pipeline.stages.parser import Parser, add_action, joined, refuse_former
 from turtlebag.pipeline.terminal.interrupts import handled
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, one_line, set_verbosity, show_cursor
 
-# The line of `turtlebag --help` for each verb. A verb's module here has `EXAMPLE`, `add_arguments(parser)`
-# and, unless each action has its own, `run(args) -> int`; it is imported only when the verb is used.
+# The line of `turtlebag --help` for each verb. STAGES have requests, and are run by `stage`. The module here
+# of any other verb has `EXAMPLE`, `add_arguments(parser)` and, unless each action has its own,
+# `run(args) -> int`. They are imported only when the verb is used.
 VERBS = {
     "record": "drive a simulated robot with a script and record a bag",
     "teleop": "drive with the keyboard and record a bag",
@@ -34,13 +34,14 @@ VERBS = {
     "report": "make an HTML report from the outputs of other commands",
     "compare": "compare two outputs of the same command, or ours with another system's",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
-    "verify": "recompute a report's numbers from the bags",
+    "verify": "run a report and its stages again, and compare every file and number",
     "bag": "inspect, play, repair and convert bags",
     "data": "list and fetch public logs",
     "world": "list the built-in worlds, or draw one",
     "doctor": "check the installation",
     "completion": "print a script that completes commands in your shell",
 }
+STAGES = ("record", "teleop", "map", "localise", "navigate", "plan", "report", "compare")
 
 EXIT_OK, EXIT_INPUT = 0, 2
 
@@ -65,37 +66,24 @@ def build_parser(*loaded: str | None) -> Parser:
         if name not in loaded:
             verbs.add_parser(name, help=summary, add_help=False)
             continue
-        command = importlib.import_module(f"turtlebag.pipeline.cli.{name}")
-        sub = add_action(verbs, name, summary, command.EXAMPLE)
+        staged = name in STAGES
+        command = importlib.import_module(f"turtlebag.pipeline.cli.{'stage' if staged else name}")
+        sub = add_action(verbs, name, summary, command.example(name) if staged else command.EXAMPLE)
         noise = sub.add_mutually_exclusive_group()
         quiet, verbose = ("show only results and errors", "show more detail")
         noise.add_argument(
             "-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0, help=quiet
         )
         noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity", help=verbose)
-        command.add_arguments(sub)
+        command.add_arguments(sub, *([name] if staged else []))
         sub.set_defaults(run=getattr(command, "run", None), inputs=getattr(command, "inputs", named_inputs))
     return parser
-
-
-def joined(argv: Sequence[str]) -> list[str]:
-    """`--goal -2,0,0` as `--goal=-2,0,0`, because argparse would take the value for an option."""
-    words: list[str] = []
-    for word in argv:
-        if words and words[-1].startswith("--") and re.match(r"-(\d|\.|inf|nan)[^,]*,", word):
-            words[-1] += "=" + word
-        else:
-            words.append(word)
-    return words
 
 
 def parsed(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of one command; InputError for unknown ones."""
     verb = next((word for word in argv if not word.startswith("-")), None)
-    if verb in RENAMED:
-        raise InputError(f"{verb} is now called {RENAMED[verb]}")
-    if verb in REMOVED:
-        raise InputError(f"{verb} is gone; {REMOVED[verb]}")
+    refuse_former(verb)
     try:
         return build_parser(verb).parse_args(joined(argv))
     except SystemExit:  # after --help or --version, if that could be written

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.cli.arguments import output, refuse, seed
-from turtlebag.pipeline.cli.parser import Parser
+from turtlebag.pipeline.cli.arguments import output, refuse
+from turtlebag.pipeline.stages.parser import Parser, seed
+from turtlebag.pipeline.stages.requests.options import map_file, on_map
 
 if TYPE_CHECKING:
     from socket import socket
@@ -33,7 +34,8 @@ def add_arguments(parser: Parser) -> None:
     parser.option("--world", "W", f"world: a name or a YAML or SDF file (default: {WORLD})")
     parser.option("--robot", "R", "robot: a name or a YAML file (default: the world's own)")
     parser.option("--seed", "N", f"random seed (default: {SEED})", seed)
-    parser.add_map("start", required=False)
+    option = on_map("start")
+    parser.option("--map", option.value, option.text, lambda text: map_file(Path(text)))
     parser.option("--bag", "BAG", "bag or log to play and map, in place of a simulation", Path)
     parser.option("--port", "P", "port of the page (default: a free one)", _port)
     text = (

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import count, output, refuse
-from turtlebag.pipeline.cli.parser import Parser
+from turtlebag.pipeline.cli.arguments import output, refuse
+from turtlebag.pipeline.stages.parser import Parser, count
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
@@ -34,13 +34,10 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")
     from turtlebag.pipeline.campaign.sweep import sweep
-    from turtlebag.pipeline.cli.main import main, parsed
 
     code = sweep(
         args.campaign,
         output(args),
-        main,
-        parsed,
         store=args.store,
         scheduler=args.scheduler,
         workers=args.workers,

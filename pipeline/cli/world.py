@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.parser import Parser, add_action
+from turtlebag.pipeline.stages.parser import Parser, add_action
 
 EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 

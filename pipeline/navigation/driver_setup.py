@@ -36,7 +36,6 @@ from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from turtlebag.sim.robots import RobotSpec
 
-TASKS = ("goal", "patrol", "avoid", "explore")
 # Simulated seconds: of avoid, and of explore at most, where none were asked for; of any run at most.
 DEFAULT_DURATION_S, DEFAULT_EXPLORE_S, MAX_SIMULATED_S = 60.0, 1800.0, 4 * 3600.0
 MAX_LAPS = 1000
@@ -49,7 +48,7 @@ class Request:
     """The options of a run. `initial_pose` is a pose, `start`, `global`, or None (no initial pose)."""
 
     task: str
-    """One of TASKS, or a user's `Task` class."""
+    """goal, patrol, avoid or explore, or a user's `Task` class."""
     seed: int
     map_path: Path | None = None
     start: SE2 | None = None

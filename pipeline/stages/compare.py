@@ -5,16 +5,39 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of
+from turtlebag.pipeline.stages.command_line import recorded
+from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of, systems_of
+from turtlebag.pipeline.stages.requests.options import flag_of
+from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
 from turtlebag.reports.content import BAD, GOOD
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
+
+
+def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
+    """The comparison of two outputs, or of ours and other systems'; with `out` as a page too."""
+    out = out and recorded(request, out)
+    for name, path in request.b:
+        if not name and not path.exists():
+            raise InputError(f"{path}: no such output, trajectory or map")
+    if not any(not name and path.is_dir() for name, path in request.b):
+        return compare_with_systems(request.a, systems_of(request, request.b), out)
+    if len(request.b) > 1:
+        raise InputError("compare takes two outputs, or one output and files of other systems")
+    ((_, other),) = request.b
+    for option in SYSTEM_OPTIONS:
+        if getattr(request, option):
+            raise InputError(
+                f"{flag_of(option)}: only for files of other systems; {other} is an output of turtlebag"
+            )
+    return compare_outputs(request.a, other, out)
 
 
 def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:

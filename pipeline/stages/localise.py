@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.datasets.yaml_files import config_text, read_mapping
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.localisation.localiser import Localiser
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
@@ -29,7 +28,8 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
 from turtlebag.pipeline.slam.laser_mounting import facing
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
-from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.requests.options import chosen_settings
+from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
 from turtlebag.pipeline.stages.sources import Source
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
@@ -212,14 +212,16 @@ def sweep_ends(recording: Recording) -> SE2 | None:
     return odometry.at(recording.stamps_ns + round(lidar.n_beams * lidar.time_increment * 1e9))
 
 
-def load_localise_config(path: Path | None, settings: Sequence[str]) -> LocaliseConfig:
+def load_localise_config(source: ConfigSource, settings: Chosen) -> LocaliseConfig:
     """Ours, or the amcl part of a Nav2 parameter file (what it ignores is logged)."""
-    if path is None or not is_nav2(data := read_mapping(path)):
-        return load_config(LocaliseConfig, path, settings)
-    known, ignored = read_nav2(data, where=str(path))
+    data, where = settings_of(source), str(source) if isinstance(source, Path) else "config"
+    if not data or not is_nav2(data):
+        return load_config(LocaliseConfig, source, settings)
+    known, ignored = read_nav2(data, where=where)
     if ignored:
-        log.info("%s: ignored %s", path, ", ".join(ignored))
-    return load_config(LocaliseConfig, None, [*(f"amcl.{k}={v}" for k, v in known.items()), *settings])
+        log.info("%s: ignored %s", where, ", ".join(ignored))
+    told = {f"amcl.{name}": value for name, value in known.items()}
+    return load_config(LocaliseConfig, None, told | chosen_settings(settings))
 
 
 def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import NoScans
@@ -26,7 +26,7 @@ from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
 from turtlebag.pipeline.stages.map3d import map_clouds
 from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
-from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
 from turtlebag.pipeline.stages.sources import MapInputs
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
 from turtlebag.reports.metrics.references import NO_REFERENCES, References
@@ -40,8 +40,8 @@ def build_map(
     out: Output,
     *,
     references: References = NO_REFERENCES,
-    config: Path | None = None,
-    settings: Sequence[str] = (),
+    config: ConfigSource = None,
+    settings: Chosen = (),
     named: str | None = None,
     explain: bool = False,
 ) -> int:
@@ -71,7 +71,7 @@ def build_map(
     return 0 if tell_map(metrics, out.folder, slam_s) else 1
 
 
-def _mapped(inputs: MapInputs, config: Path | None, settings: Sequence[str], *, explain: bool) -> Mapped:
+def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explain: bool) -> Mapped:
     """Map planar scans, or where the source has none, its point clouds."""
     edits = Edits() if inputs.edits is None else load_edits(inputs.edits)
     earlier = None if inputs.continued is None else load_session(inputs.continued)
@@ -93,7 +93,8 @@ def _mapped(inputs: MapInputs, config: Path | None, settings: Sequence[str], *, 
 
 
 def _metrics(made: Mapped, references: References) -> Mapping[str, object]:
-    errors = references.errors(made.result.trajectory, made.result.grid)
+    known = made.recording.T_odom_base is not None
+    errors = references.errors(made.result.trajectory, made.result.grid, odometry=known)
     with_truth = made.with_truth if "ate_m" in errors else {}
     return {**summary(made.recording, made.result), **made.metrics, **errors, **with_truth}
 
@@ -147,7 +148,7 @@ def _notes(recording: Recording, *, several: bool) -> Iterable[str]:
     return (f"{recording.source}: {note}" if several else note for note in recording.notes)
 
 
-def _settled(config: Path | None, settings: Sequence[str]) -> SlamConfig:
+def _settled(config: ConfigSource, settings: Chosen) -> SlamConfig:
     """The settings, with the parts that they name looked up."""
     settled = load_config(SlamConfig, config, settings)
     front_end_maker(settled.front_end)

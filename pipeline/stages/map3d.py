@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,12 @@ from turtlebag.pipeline.slam.explain import candidate, moved, worst_edges
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
 from turtlebag.pipeline.stages.map_summary import Mapped
-from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
 from turtlebag.pipeline.terminal.messages import log_notes, track
 
 
 def map_clouds(
-    source: Path, topic: str | None, config: Path | None, settings: Sequence[str], *, explain: bool
+    source: Path, topic: str | None, config: ConfigSource, settings: Chosen, *, explain: bool
 ) -> Mapped:
     """Map the point clouds of a bag; InputError when anything given cannot be used."""
     resolved = load_config(Slam3dConfig, config, settings)

@@ -16,6 +16,7 @@ from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.types import Recording, Recording3D
 from turtlebag.pipeline.slam.turn_comparison import delay_metrics
 from turtlebag.pipeline.terminal.messages import length, log
+from turtlebag.reports.numbers import lookup
 
 if TYPE_CHECKING:
     from turtlebag.pipeline.slam.slam import SlamResult
@@ -42,31 +43,42 @@ class Mapped:
 
 SHOWN = (".yaml", ".pgm", ".ply", ".tum")
 """What people open; the other files beside them are named in the documentation."""
-BAD_M = 0.2
-"""A map is bad when the truth says, after a rigid fit, that a scan of it lies farther off."""
+WITHIN = "map.occupied_error_m.within_one_cell"
+BAD_M, BAD_WALLS = 0.2, 0.8
+"""A map is bad when the truth says, after a rigid fit, that a scan of it lies farther off, or that a smaller
+share of its wall cells lies within one cell of a true surface."""
 
 
 def tell_map(metrics: Mapping[str, Any], out: Path, seconds: float) -> bool:
     """The verdict, the errors where they are known and the files, in as many lines; False for a map that
     the truth denies.
     """
-    check, bad = metrics["self_check"], verdict_of(metrics) == "bad"
+    check, denied = metrics["self_check"], denials(metrics)
     for reason in check["reasons"]:
         log.warning(f"doubtful map: {reason}")
     for line in map_lines(metrics, out, seconds):
         log.info(line)
-    if bad and check["verdict"] == "good":
+    for reason in denied:
+        log.warning(f"bad map: {reason}")
+    if denied and check["verdict"] == "good":
         log.warning("the self-check found nothing wrong: does the ground truth belong to this recording?")
-    return not bad
+    return not denied
+
+
+def denials(metrics: Mapping[str, Any]) -> list[str]:
+    """Why a map is bad by the truth: its path, after a rigid fit, and its walls."""
+    worst, within = lookup(metrics, "ate_aligned_m.max"), lookup(metrics, WITHIN)
+    found = []
+    if worst is not None and worst > BAD_M:
+        found.append(f"a scan of it lies {length(worst)} off")
+    if within is not None and within < BAD_WALLS:
+        found.append(f"only {within:.1%} of its wall cells lie within one cell of a true surface")
+    return found
 
 
 def verdict_of(metrics: Mapping[str, Any]) -> str:
-    """`bad` for a map that the truth denies, else the verdict of the self-check.
-
-    After a rigid fit, because a map without odometry begins at the origin, wherever that is in the world.
-    """
-    bad = metrics.get("ate_aligned_m", {"max": 0.0})["max"] > BAD_M
-    return "bad" if bad else str(metrics["self_check"]["verdict"])
+    """`bad` for a map that the truth denies, else the verdict of the self-check."""
+    return "bad" if denials(metrics) else str(metrics["self_check"]["verdict"])
 
 
 def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator[str]:
@@ -83,8 +95,10 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
         near, far = (f"{1e3 * off:+.0f} mm" for off in metrics["range_error_m"].values())
         yield f"the lidar's ranges are off by {near} at 1 m and {far} at 3 m, as the scans show; corrected"
     if "ate_m" in metrics:
-        worst = length(metrics["ate_m"]["max"])
-        yield f"trajectory error (ATE): {length(metrics['ate_m']['rmse'])} RMSE, {worst} at most"
+        fitted = metrics.get("fitted")
+        error = metrics["ate_m" if fitted is None else "ate_aligned_m"]
+        after = "" if fitted is None else f" after a rigid fit: {fitted}"
+        yield f"trajectory error (ATE): {length(error['rmse'])} RMSE, {length(error['max'])} at most{after}"
     if "map" in metrics:
         error = metrics["map"]["occupied_error_m"]
         within = error["within_one_cell"]

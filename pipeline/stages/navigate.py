@@ -96,6 +96,7 @@ def navigate(
                 "parts": parts,
                 "out": str(out.folder),
                 "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
+                **({"interrupted": True} if interrupted else {}),
             },
         )
     for when, x, y, yaw in mission.config.sim.faults.kidnap:

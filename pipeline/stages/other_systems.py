@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.other_systems import OURS, System, SystemFiles, load_system
+from turtlebag.datasets.other_systems import OURS, System, SystemFiles, kind_of, load_system
 from turtlebag.datasets.trajectories_3d import Trajectory3D
+from turtlebag.pipeline.stages.requests.options import flag_of
+from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, SystemsRequest
 from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.systems import Measured, measure
 from turtlebag.reports.stages import Group, Manifest, Stage
@@ -21,6 +24,48 @@ KINDS = ("map", "localise", "navigate")
 """What has a trajectory of its own, in the order in which a report takes one for ours."""
 MARK = "system:"
 """Begins the names of those inputs of a report that are files of other systems."""
+
+
+def systems_of(request: SystemsRequest, files: Sequence[tuple[str, Path]]) -> list[SystemFiles]:
+    """The systems that files belong to, by their names, and how they are read; one without a name is called
+    as its file is, and a system may have a trajectory and a map.
+
+    InputError for a file that is neither, for two of one kind, and for an option with an unknown name.
+    """
+    found: dict[str, dict[str, Path]] = {}
+    for name, path in files:
+        name = name or re.sub(r"^[^A-Za-z0-9]+|[^A-Za-z0-9_+-]+", "-", path.stem).strip("-") or "other"
+        kind = kind_of(path)
+        held = found.setdefault(name, {})
+        if kind in held:
+            raise InputError(f"{path}: {name} already has a {kind} ({held[kind]}); give each its own NAME=")
+        held[kind] = path
+    bases, times, shifts = (_by_name(request, option, found) for option in SYSTEM_OPTIONS)
+    return [
+        SystemFiles(
+            name,
+            held.get("trajectory"),
+            held.get("map"),
+            times.get(name),
+            bases.get(name, (0.0, 0.0, 0.0)),
+            shifts.get(name, 0.0),
+        )
+        for name, held in found.items()
+    ]
+
+
+def _by_name(request: SystemsRequest, option: str, names: Mapping[str, object]) -> dict[str, Any]:
+    """Values of an option by system; without a name, of the only one."""
+    flag, found = flag_of(option), {}
+    for name, value in getattr(request, option):
+        if not names:
+            raise InputError(f"{flag}: there is no other system")
+        if not name and len(names) > 1:
+            raise InputError(f"{flag}: there are several systems; write {flag} NAME=VALUE")
+        if name and name not in names:
+            raise InputError(f"{flag} {name}: no system named {name}; known: {', '.join(names)}")
+        found[name or next(iter(names))] = value
+    return found
 
 
 def ours_of(stages: Sequence[Stage]) -> Stage:

@@ -9,7 +9,6 @@ from typing import Required, TypedDict, get_args
 import numpy as np
 from pydantic import ValidationError
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.parts import is_own, source_files
@@ -114,16 +113,11 @@ def plan(
     return 0
 
 
-def planner_settings(name: str | None) -> list[str]:
+def planner_settings(name: str | None) -> dict[str, str]:
     """What the option --planner stands for: one of OMPL's, or a class of the user's."""
     if name is None:
-        return []
-    if name in get_args(PlannerName):
-        return ["plan.planner=ompl", f"plan.ompl.planner={name}"]
-    if not is_own(name):
-        known = ", ".join(get_args(PlannerName))
-        raise InputError(f"--planner: expected {known} or your own class (module:Class), not {name!r}")
-    return [f"plan.planner={name}"]
+        return {}
+    return {"plan.planner": name} if is_own(name) else {"plan.planner": "ompl", "plan.ompl.planner": name}
 
 
 def planners_to_compare(config: PlanStageConfig) -> list[PlanStageConfig]:

@@ -21,6 +21,8 @@ from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Stamps, Trajectory, Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
+from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, RecordRequest
+from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
@@ -64,15 +66,30 @@ def record(scene: Scene, teleop: str, out: Output) -> int:
     complete and kept. Unfinished when the disk is full or the terminal was closed: then it is kept beside
     the output.
     """
-    own = teleop not in script_names() and Path(teleop).exists()
-    inputs = {"teleop": Path(teleop)} if own else {}
-    if own and is_recording(teleop):
+    inputs = _own_teleop(teleop)
+    if inputs and is_recording(teleop):
         driver, label = replayed(Path(teleop))
     else:
         if (count := len(scene.world.shapes)) > MANY_SHAPES:
             log.info(f"{count} shapes: planning the drive may take minutes")
         driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
     return record_drive(scene, driver, label, out, inputs=inputs)
+
+
+def record_again(request: RecordRequest | KeyboardRequest, bag: Path, out: Output) -> int:
+    """A drive that a person drove, or ended, once more by the commands in its own bag."""
+    driver, _ = replayed(bag)
+    if isinstance(request, KeyboardRequest):
+        return record_drive(scene_of(request), driver, f"keyboard:{request.style}", out)
+    inputs, label = _own_teleop(request.teleop), request.teleop
+    if inputs and is_recording(label):
+        _, label = replayed(Path(label))
+    return record_drive(scene_of(request), driver, label, out, inputs=inputs)
+
+
+def _own_teleop(teleop: str) -> dict[str, Path]:
+    own = teleop not in script_names() and Path(teleop).exists()
+    return {"teleop": Path(teleop)} if own else {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +131,13 @@ class Scene:
         )
 
 
+def scene_of(request: RecordRequest | KeyboardRequest) -> Scene:
+    """What a request for a recording is about; InputError for unknown names."""
+    options = load_config(RecordOptions, request.config, request.settings)
+    start = None if request.start is None else SE2.from_xyt(*request.start)
+    return Scene.load(request.world, request.robot, request.seed, options.sim, start)
+
+
 def record_drive(
     scene: Scene,
     driver: Generator[Twist, Truth, None],
@@ -147,7 +171,11 @@ def record_drive(
             "record",
             {**own_files(scene.world_name, scene.robot_name), **(inputs or {})},
             seed=scene.seed,
-            extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
+            extra={
+                "simulated_s": duration,
+                "realtime_factor": round(duration / wall, 2),
+                **({"interrupted": True} if interrupted else {}),
+            },
         )
     if interrupted:
         log.warning("interrupted; the recording so far is kept")

@@ -1,55 +1,120 @@
-"""Verify a report: hashes of everything it rests on, and every number computed again."""
+"""Verify a report: hashes of all it rests on, and it and every stage of it made once more and compared."""
 
 from __future__ import annotations
 
-import difflib
-import html
+import platform
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy import ndimage
-
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.outputs import sha256_file
-from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.stages import recompute
-from turtlebag.pipeline.stages.other_systems import MARK, from_manifest, inputs_of, measured_in
-from turtlebag.pipeline.stages.run_again import Run, places_of, remade
-from turtlebag.reports.content import build_chapter, stage_metrics
-from turtlebag.reports.figures.album import Album
+from turtlebag.datasets.outputs import cpu_name, package_versions, plain
+from turtlebag.pipeline.stages.again import NotRun, command_differs, made_again, report_again
+from turtlebag.pipeline.stages.other_systems import MARK
+from turtlebag.reports.content import stage_metrics
 from turtlebag.reports.grouping import group_stages
-from turtlebag.reports.metrics.map import occupied
-from turtlebag.reports.numbers import leaves, shown
-from turtlebag.reports.page import render
+from turtlebag.reports.metric_specs import tolerance_of
+from turtlebag.reports.numbers import leaves
 from turtlebag.reports.stages import (
     Group,
     Manifest,
     Stage,
     changed_files,
-    changed_parts,
     load_stage,
     read_json,
     read_manifest,
 )
-from turtlebag.reports.system_comparison import SystemComparison, compare_systems
+
+FACTS = ("stage", "seed", "world", "robot", "task", "parts")
+"""What a manifest says of a stage besides its request, its hashes and its times."""
+DIGITS = re.compile(r"[-+.\d]+")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One value: as reported and as computed again, on the same machine or on another one."""
+
+    key: str
+    reported: Any
+    found: Any
+    tolerance: float | None = None
+    """By how much the two may differ; None: not at all."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the two are the same, as far as they can be."""
+        one, other = self.reported, self.found
+        if self.tolerance is None or type(one) is bool or type(other) is bool:
+            return type(one) is type(other) and bool(one == other)
+        if isinstance(one, str) and isinstance(other, str):
+            return DIGITS.sub("", one) == DIGITS.sub("", other)
+        if isinstance(one, int | float) and isinstance(other, int | float):
+            return abs(one - other) <= self.tolerance
+        return bool(one == other)
 
 
 @dataclass
 class Verification:
-    """What was found: every check, every problem in one line each, what could not be checked, and
-    stages that came out equal in numbers but not in bytes when run again.
-    """
+    """What was found: every check; every problem, and why a stage was not run again, in one line each; the
+    numbers that were not computed again; how many files were hashed; and what is other here than where the
+    outputs were made."""
 
-    checks: list[recompute.Check] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    not_run: list[str] = field(default_factory=list)
     unchecked: list[str] = field(default_factory=list)
     files: int = 0
-    notes: list[str] = field(default_factory=list)
+    elsewhere: list[str] = field(default_factory=list)
+
+    def compare(self, name: str, reported: object, found: object, *, exact: bool, kind: str) -> None:
+        """Check each value of nested metrics, and add a problem for each that is other."""
+        told, computed = dict(leaves(reported)), dict(leaves(found))
+        for path in dict.fromkeys([*told, *computed]):
+            value, tolerance = told.get(path), None if exact else tolerance_of(kind, path, computed.get(path))
+            missing = path not in told or path not in computed
+            check = Check(f"{name}:{path}", value, computed.get(path), tolerance)
+            self.checks.append(check)
+            if missing or not check.agrees:
+                which = "not made again" if path not in computed else f"computed {check.found}"
+                self.problems.append(f"{check.key}: reported {value}, {which}")
+
+
+def verify(report: Path, *, quick: bool = False, allow_commands: bool = False) -> Verification:
+    """Check a report's folder; InputError when it or its inputs cannot be read at all.
+
+    `quick`: no stage is run again. `allow_commands`: also those of which the request names code from outside
+    the package.
+    """
+    found = Verification()
+    manifest = read_manifest(_file(report, "manifest.json"))
+    folders = stage_folders(report, manifest)
+    groups = group_stages([load_stage(folder) for folder in folders])
+    reported = read_json(_file(report, "metrics.json"))
+    stages = [stage for group in groups for stage in group.stages]
+    found.elsewhere = list(dict.fromkeys(line for one in stages if (line := _elsewhere(one.manifest))))
+    _check_hashes(report, manifest, groups, found)
+    for group in groups:
+        for stage in group.stages:
+            name = f"{group.name}/{stage.label}"
+            chapter = reported.get(group.name)
+            metrics = chapter.get(stage.label) if isinstance(chapter, dict) else None
+            if not isinstance(metrics, dict):
+                found.problems.append(f"{name}: not in the report's metrics.json")
+                continue
+            found.problems += [
+                f"{name}:{path}: the report and the stage's own metrics differ"
+                for path, value in leaves(plain(stage_metrics(stage)))
+                if dict(leaves(metrics)).get(path) != value
+            ]
+            if quick:
+                found.unchecked += _numbers(name, metrics)
+            else:
+                _check_stage(name, stage, stages, metrics, found, allow_commands=allow_commands)
+    _check_report(report, manifest, folders, found)
+    return found
 
 
 def stage_folders(report: Path, manifest: Manifest) -> list[Path]:
@@ -79,198 +144,115 @@ def _file(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def verify(report: Path, run: Run | None = None) -> Verification:
-    """Check a report folder; InputError when it or its inputs cannot be read at all.
-
-    With `run`, stages whose numbers their files alone do not hold are run again from what they read.
-    """
-    found = Verification()
-    manifest = read_manifest(_file(report, "manifest.json"))
-    groups = group_stages([load_stage(folder) for folder in stage_folders(report, manifest)])
-    reported = read_json(_file(report, "metrics.json"))
-    _check_report_files(report, manifest, groups, found)
-    places = places_of(groups)
-    for group in groups:
-        for stage in group.stages:
-            chapter = reported.get(group.name)
-            metrics = chapter.get(stage.label) if isinstance(chapter, dict) else None
-            if not isinstance(metrics, dict):
-                found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
-                continue
-            _check_stage(stage, group, metrics, places, run, found)
-    systems = _check_systems(report, manifest, groups, reported, found) if manifest.systems else None
-    _check_texts(_file(report, "index.html"), groups, systems, found)
-    return found
+def _elsewhere(manifest: Manifest) -> str:
+    """What is other here than where an output was made, so that its bytes may be; empty where nothing is."""
+    machine = platform.machine()
+    here = {**package_versions(), "python": platform.python_version(), "processor": cpu_name()}
+    there = {**manifest.packages, "python": manifest.python, "processor": manifest.cpu}
+    # Of the system what may compute otherwise: not the kernel.
+    here["system"], there["system"] = (
+        text[max(text.find(machine), 0) :] for text in (platform.platform(), manifest.platform)
+    )
+    other = [name for name in here if here[name] != there.get(name)]
+    return ", ".join(f"{name} {there.get(name, 'none')} (here {here[name]})" for name in other)
 
 
-def _check_report_files(report: Path, manifest: Manifest, groups: list[Group], found: Verification) -> None:
+def _check_hashes(report: Path, manifest: Manifest, groups: Sequence[Group], found: Verification) -> None:
+    """The files of the report and of its stages against the manifests, and these against each other."""
     found.files += len(manifest.outputs)
     for path in changed_files(report, manifest.outputs):
         found.problems.append(f"{report.name}/{path}: changed since the report was made")
     for group in groups:
         for stage in group.stages:
-            name = f"{group.name}/{stage.label}"
+            name, made = f"{group.name}/{stage.label}", stage.manifest.outputs
+            found.files += len(made)
+            changed = changed_files(stage.folder, made)
+            found.problems += [f"{name}/{path}: does not match its manifest" for path in changed]
             if name not in manifest.inputs:
                 continue
             then = manifest.inputs[name].sha256
             # In the folder of a stage there may be files that it did not make.
-            others = {path: digest for path, digest in then.items() if path not in stage.manifest.outputs}
-            again = [
-                path for path, digest in then.items() if stage.manifest.outputs.get(path, digest) != digest
-            ]
+            others = {path: digest for path, digest in then.items() if path not in made}
+            again = [path for path, digest in then.items() if made.get(path, digest) != digest]
             for path in [*again, *changed_files(stage.folder, others)]:
                 found.problems.append(f"{name}/{path}: changed since the report was made")
 
 
 def _check_stage(
+    name: str,
     stage: Stage,
-    group: Group,
+    stages: Sequence[Stage],
     metrics: Mapping[str, Any],
-    places: dict[str, str],
-    run: Run | None,
     found: Verification,
+    *,
+    allow_commands: bool,
 ) -> None:
-    name = f"{group.name}/{stage.label}"
-    found.files += len(stage.manifest.outputs)
-    changed = changed_files(stage.folder, stage.manifest.outputs)
-    found.problems += [f"{name}/{path}: does not match its manifest" for path in changed]
-    found.problems += [f"{name}: {said}" for said in changed_parts(stage)]
-    disagreement = recompute.truth_disagreement(stage)
-    if disagreement is not None and disagreement > recompute.TRUTH_AGREES_M:
-        apart = shown(disagreement, "cm")
-        found.problems.append(
-            f"{name}/truth/trajectory.tum: differs by {apart} from the bag's /ground_truth/odom"
-        )
-    if stage.kind == "navigate":
-        _check_clearance(stage, name, found)
-    for path, value in leaves(stage_metrics(stage)):
-        if dict(leaves(metrics)).get(path) != value:
-            found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
-    try:
-        done = list(recompute.checks(name, metrics, recompute.recomputed(stage, group, places)))
-    except InputError as error:
-        found.problems.append(f"{name}: {error}")
-        return
-    left = _unknown(name, metrics, done)
-    if left and run is not None and (anew := remade(stage, places, run)) is not None:
-        if anew.other_bytes:
-            found.notes.append(f"{name}: run again, different bytes in {', '.join(anew.other_bytes)}")
-        done += [check for check in recompute.checks(name, metrics, anew.metrics) if check.key in left]
-        left = _unknown(name, metrics, done)
-    found.unchecked += left
-    _keep(done, found)
-
-
-def _check_systems(
-    report: Path, manifest: Manifest, groups: list[Group], reported: Mapping[str, Any], found: Verification
-) -> SystemComparison | None:
-    """The other systems measured again: what the report should say of them, None when they cannot be."""
-    group = groups[0]
-    name = f"{group.name}/systems"
-    try:
-        files = from_manifest(manifest, report)
-        changed = [
-            f"{what}: {path} changed since the report was made"
-            for what, path in inputs_of(files).items()
-            if not path.is_file() or sha256_file(path) not in manifest.inputs[what].sha256.values()
+    """Run a stage again and compare all that it leaves, and what the report and its manifest say of it."""
+    exact = not _elsewhere(stage.manifest)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "again"
+        try:
+            made_again(stage, stages, out, allow_commands=allow_commands)
+            if said := command_differs(stage.manifest):
+                found.problems.append(f"{name}: {said}")
+        except NotRun as reason:
+            found.not_run.append(f"{name}: {reason}")
+            found.unchecked += _numbers(name, metrics)
+            return
+        again = Stage(out, stage.kind, stage.label, read_manifest(out / "manifest.json"), stage.title)
+        before = len(found.problems)
+        found.compare(name, metrics, plain(stage_metrics(again)), exact=exact, kind=stage.kind)
+        named = ("metrics.json",) if len(found.problems) > before else ()
+        if exact:
+            _compare_files(name, stage.manifest, again.manifest, found, but=named)
+        said, is_so = (read_json(one / "manifest.json") for one in (stage.folder, out))
+        found.problems += [
+            f"{name}: its manifest says {key} {said.get(key)}; run again, it is {is_so.get(key)}"
+            for key in FACTS
+            if said.get(key) != is_so.get(key)
         ]
-        known, systems = measured_in(groups, files)
-    except (InputError, KeyError) as error:
-        found.problems.append(f"{name}: {error}")
-        return None
-    expected = compare_systems(systems, known, Album(None), f"{group.name}-systems")
-    told = reported.get(group.name, {}).get("systems", {})
-    found.problems += changed
-    if missing := {path for path, _ in leaves(expected.metrics)} - {path for path, _ in leaves(told)}:
-        found.problems.append(f"{name}: not in the report's metrics.json: {', '.join(sorted(missing)[:3])}")
-    _keep(recompute.checks(name, told, expected.metrics), found)
-    return expected
 
 
-def _keep(done: Iterable[recompute.Check], found: Verification) -> None:
-    """Add checks, and a problem for each that found another number."""
-    for check in done:
-        found.checks.append(check)
-        if not check.agrees:
-            found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
+def _check_report(report: Path, manifest: Manifest, folders: Sequence[Path], found: Verification) -> None:
+    """Make the report again from its stages as they are, and compare its page, figures and tables."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / report.resolve().name
+        try:
+            report_again(report, manifest, folders, out)
+            if said := command_differs(manifest):
+                found.problems.append(f"{report.name}: {said}")
+        except NotRun as reason:
+            found.not_run.append(f"{report.name}: {reason}")
+            return
+        again = read_manifest(out / "manifest.json")
+        exact = not _elsewhere(manifest)
+        if exact:
+            _compare_files(report.name, manifest, again, found)
+        metrics, numbers = read_json(report / "metrics.json"), read_json(out / "metrics.json")
+        for name in numbers:
+            systems = [one.get(name, {}).get("systems") or {} for one in (metrics, numbers)]
+            if any(systems):
+                found.compare(f"{name}/systems", *systems, exact=exact, kind="systems")
 
 
-def _unknown(name: str, metrics: Mapping[str, object], done: list[recompute.Check]) -> list[str]:
-    """Keys of the numbers no check is about."""
-    known = {check.key for check in done}
-    return [
+def _compare_files(
+    name: str, made: Manifest, again: Manifest, found: Verification, but: Sequence[str] = ()
+) -> None:
+    for path in dict.fromkeys([*made.outputs, *again.outputs]):
+        if path in but or made.outputs.get(path) == again.outputs.get(path):
+            continue
+        what = "has other content"
+        if path not in again.outputs:
+            what = "is not made"
+        elif path not in made.outputs:
+            what = "is made too"
+        found.problems.append(f"{name}/{path}: made again, it {what}")
+
+
+def _numbers(name: str, metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Keys of the numbers in a stage's metrics."""
+    return (
         f"{name}:{path}"
         for path, value in leaves(metrics)
-        if f"{name}:{path}" not in known and isinstance(value, (int, float)) and not isinstance(value, bool)
-    ]
-
-
-def clearance_on_map(footprint: Array, grid: OccupancyGrid, T_world_base: SE2) -> float:
-    """Least distance [m] from the footprint's outline to an occupied cell of the true map, along true poses.
-
-    The map holds what crosses the lidar plane only: the clearance that counts low things is at most this.
-    """
-    corners = np.concatenate([footprint, footprint[:1]])
-    share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
-    outline = (corners[:-1] + share * (corners[1:] - corners[:-1])).reshape(-1, 2)
-    cells = grid.cell_of(T_world_base[:, None] @ outline)
-    cells = np.clip(cells, 0, np.array(grid.shape) - 1)
-    room = ndimage.distance_transform_edt(~occupied(grid)) * grid.resolution
-    return float(room[cells[..., 0], cells[..., 1]].min())
-
-
-def _check_clearance(stage: Stage, name: str, found: Verification) -> None:
-    """The reported clearance against that on the true map, where robot and map are known."""
-    reported, robot, grid = stage.metrics.get("min_clearance_m"), recompute.robot_of(stage), stage.true_map
-    if robot is None or grid is None or not isinstance(reported, (int, float)):
-        return
-    room = clearance_on_map(robot.model.footprint, grid, stage.driven.poses[::3])
-    if reported > room + 2.0 * grid.resolution:
-        found.problems.append(
-            f"{name}:min_clearance_m: reported {reported:.3f}, but the true map leaves only {room:.3f} m"
-        )
-
-
-def _check_texts(
-    page: Path, groups: list[Group], systems: SystemComparison | None, found: Verification
-) -> None:
-    """Everything the page says, written again from what was computed: tiles, verdicts, captions, hashes."""
-    text = page.read_text()
-    computed = {check.key: check.found for check in found.checks if not check.agrees}
-    album = Album(None, animate='class="animation"' in text)
-    chapters = []
-    for group in groups:
-        measured = {
-            stage.label: replaced(stage_metrics(stage), computed, f"{group.name}/{stage.label}:")
-            for stage in group.stages
-        }
-        chapters.append(build_chapter(group, album, measured))
-    if systems is not None:
-        chapters = [replace(chapters[0], systems=systems)]
-    said, expected = words_of(text), words_of(render(chapters, groups))
-    changes = difflib.SequenceMatcher(None, said, expected, autojunk=False).get_opcodes()
-    for kind, a0, a1, b0, b1 in changes:
-        if kind != "equal":
-            one, other = (" / ".join(part) or "nothing" for part in (said[a0:a1], expected[b0:b1]))
-            found.problems.append(f"{page.name}: says {one[:200]}; computed {other[:200]}")
-
-
-def replaced(node: Any, values: Mapping[str, Any], key: str) -> Any:
-    """Nested metrics with the leaves whose dotted keys are in `values` taken from there."""
-    if isinstance(node, dict):
-        return {
-            name: replaced(item, values, f"{key}{name}" if key.endswith(":") else f"{key}.{name}")
-            for name, item in node.items()
-        }
-    if isinstance(node, list):
-        return [replaced(item, values, f"{key}.{index}") for index, item in enumerate(node)]
-    return values.get(key, node)
-
-
-def words_of(page: str) -> list[str]:
-    """What a page says, line by line: tags, figures and white space left out, numbers after their keys."""
-    body = page.partition("<body>")[2].partition("<script>")[0]
-    body = re.sub(r"<svg\b.*?</svg>", "", body, flags=re.DOTALL)
-    body = re.sub(r'<[^>]* data-key="([^"]*)"[^>]*>', r"\1: ", body)
-    lines = (" ".join(line.split()) for line in html.unescape(re.sub(r"<[^>]*>", "", body)).splitlines())
-    return [line for line in lines if line]
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    )

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from turtlebag.datasets.durations import LONGEST_S, nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.growing_file import GrowingFile
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
@@ -116,7 +117,7 @@ class Journal:
         if isinstance(header, Header) and (sim := header.sim.model_dump(mode="json", exclude_unset=True)):
             told["sim"] = sim
         begun = path.with_name(f".{path.name}")
-        self._file = begun.open("x")
+        self._file = GrowingFile(begun)
         self._write(yaml.safe_dump(told, sort_keys=False) + "inputs:\n")
         begun.rename(path)  # a kill between the two leaves no half a header
         self._asked: Twist | None = None
@@ -154,7 +155,7 @@ class Journal:
         self._write(f"- {text}")
 
     def _write(self, text: str) -> None:
-        self._file.write(text)
+        self._file.write(text.encode())
         self._file.flush()
 
 

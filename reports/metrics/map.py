@@ -111,7 +111,7 @@ def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapMetrics:
     mapped = _unique_cells(true_grid.cell_of(error.xy_mapped))
     true = _unique_cells(true_grid.cell_of(error.xy_true))
     both = len(mapped & true)
-    reach = _one_cell(true_grid.resolution)
+    reach = _one_cell(max(grid.resolution, true_grid.resolution))
     precision, recall = float(np.mean(error.error_m <= reach)), float(np.mean(error.missed_m <= reach))
     matched = precision * recall
     return {

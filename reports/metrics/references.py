@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
@@ -16,13 +16,18 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics
 from turtlebag.reports.metrics.relations import RelationErrors, relations_metrics
-from turtlebag.reports.metrics.trajectory import TrajectoryErrors, trajectory_metrics
+from turtlebag.reports.metrics.trajectory import TrajectoryErrors, associate, fit_rigid, trajectory_metrics
+
+APART_M, APART_RAD = 0.1, 0.1
+"""Farther from its true pose no estimate begins: the frames differ. No drift is like this in one scan."""
 
 
 class MapErrors(TrajectoryErrors, RelationErrors, total=False):
-    """The contract's keys for what a map was measured against."""
+    """The contract's keys for what a map was measured against; `fitted` says why its walls were laid on the
+    true ones by the fit of the trajectory."""
 
     map: MapMetrics
+    fitted: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,22 +64,44 @@ class References:
 
         return None if truth is None else pose
 
-    def errors(self, trajectory: Trajectory, grid: OccupancyGrid | None) -> MapErrors:
-        """How far a map is off; InputError for truth or relations of another recording."""
+    def errors(
+        self, trajectory: Trajectory, grid: OccupancyGrid | None, *, odometry: bool = True
+    ) -> MapErrors:
+        """How far a map is off, `odometry`: made with some; InputError for truth or relations of another
+        recording."""
         found: MapErrors = {}
         if self.truth is not None:
             try:
                 found.update(trajectory_metrics(trajectory, self.truth))
             except ValueError as error:
                 raise InputError(f"{self.inputs.get('truth', 'truth')}: {error}") from None
+            T_world_map = _frame(trajectory, self.truth)
+            if T_world_map is not None:
+                found["fitted"] = OWN_FRAME if odometry else NO_ODOMETRY
             if self.true_grid is not None and grid is not None:
-                found["map"] = map_metrics(grid, self.true_grid)
+                found["map"] = map_metrics(_moved(grid, T_world_map), self.true_grid)
         if self.relations is not None:
             found.update(relations_metrics(trajectory, self.relations))
             if found["relations"]["n"] == 0:
                 file = self.inputs.get("relations", "relations")
                 raise InputError(f"{file}: no relation in it is between two scans of this recording")
         return found
+
+
+OWN_FRAME = "the map does not begin where the truth does"
+NO_ODOMETRY = "the recording has no odometry, so the map has a frame of its own"
+
+
+def _frame(trajectory: Trajectory, truth: Trajectory) -> SE2 | None:
+    """The map's frame in that of the truth, by a rigid fit; None where they are the same."""
+    pairs = associate(trajectory, truth)
+    if pairs.position_errors()[0] <= APART_M and pairs.yaw_errors()[0] <= APART_RAD:
+        return None
+    return fit_rigid(pairs.T_map_base.xy, pairs.T_world_base.xy)
+
+
+def _moved(grid: OccupancyGrid, T_world_map: SE2 | None) -> OccupancyGrid:
+    return grid if T_world_map is None else replace(grid, T_map_grid=T_world_map @ grid.T_map_grid)
 
 
 NO_REFERENCES = References()

@@ -10,7 +10,7 @@ SAY = """
 import sys
 from pathlib import Path
 from turtlebag.datasets.outputs import staged_output
-from turtlebag.pipeline.cli import compare, doctor
+from turtlebag.pipeline.cli import doctor, stage
 def run(args):
     for number in range(3):
         print("line", number, "x" * 5000)
@@ -21,7 +21,7 @@ def run(args):
             (folder / "a").write_text("whole")
             print("more", "x" * 9000, flush=True)
     return 1
-compare.run = run
+stage.run = run
 from turtlebag.pipeline.cli.main import main
 sys.exit(main())
 """

@@ -9,9 +9,9 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.cli.parser import REMOVED
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.stages.parser import REMOVED
 from turtlebag.pipeline.stages.settings import load_config
 
 

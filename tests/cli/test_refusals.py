@@ -3,15 +3,12 @@
 Words of a command, and how its line goes on after `turtlebag: `; an ellipsis stands for anything.
 """
 
-import re
-import shlex
-
 import pytest
 
 from tests.helpers.bag_samples import write_drive
 from tests.helpers.fuzz_cases import carmen_log
+from tests.helpers.refusals import require_refused
 from tests.helpers.report_fakes import fake_map, fake_record
-from turtlebag.pipeline.cli.main import main
 
 RECORD = "record --world empty --out x"
 MANY = "9" * 5000
@@ -98,11 +95,4 @@ def place(tmp_path_factory):
 @pytest.mark.parametrize("words", REFUSED, ids=lambda words: words[:60])
 def test_what_cannot_be_done_is_one_line_that_says_why(place, monkeypatch, capsys, words):
     monkeypatch.chdir(place)
-    before = sorted(place.rglob("*"))
-    assert main(shlex.split(words)) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    line = ".*".join(map(re.escape, REFUSED[words].split("...")))
-    assert re.fullmatch(f"turtlebag: (?!turtlebag){line}\n", err), err
-    assert sorted(place.rglob("*")) == before
+    require_refused(words, REFUSED[words], place, capsys)

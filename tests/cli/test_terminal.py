@@ -133,21 +133,32 @@ def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
         "wall error: 0.76 cm on average, 100.0% of the cells within one cell",
         files,
     ]
+    own = {"fitted": "it has a frame of its own", "ate_aligned_m": {"rmse": 0.001, "max": 0.002}}
+    (line,) = (one for one in map_lines({**metrics, **errors, **own}, tmp_path, 91.0) if "ATE" in one)
+    assert line.endswith("0.10 cm RMSE, 0.20 cm at most after a rigid fit: it has a frame of its own")
 
 
 @pytest.mark.parametrize(
-    ("reasons", "worst", "first", "said"),
+    ("reasons", "worst", "within", "first", "said"),
     [
-        ([], None, "good", ""),
-        (["it is bent"], None, "doubtful", "doubtful map: it is bent"),
-        ([], 0.15, "good", ""),
-        (["it is bent"], 0.15, "doubtful", "doubtful map: it is bent"),
-        (["it is bent"], 0.25, "bad", "doubtful map: it is bent"),
-        ([], 0.25, "bad", "does the ground truth belong to this recording?"),
+        ([], None, None, "good", ""),
+        (["it is bent"], None, None, "doubtful", "doubtful map: it is bent"),
+        ([], 0.15, None, "good", ""),
+        ([], 0.15, 0.95, "good", ""),
+        (
+            [],
+            0.15,
+            0.54,
+            "bad",
+            "bad map: only 54.0% of its wall cells lie within one cell of a true surface",
+        ),
+        (["it is bent"], 0.15, None, "doubtful", "doubtful map: it is bent"),
+        (["it is bent"], 0.25, 1.0, "bad", "bad map: a scan of it lies 25.0 cm off"),
+        ([], 0.25, None, "bad", "does the ground truth belong to this recording?"),
     ],
 )
 def test_a_map_that_the_truth_denies_is_bad_whatever_the_mapper_believes(
-    normal, tmp_path, capfd, reasons, worst, first, said
+    normal, tmp_path, capfd, reasons, worst, within, first, said
 ):
     console.set_verbosity(0)
     check = {"verdict": "doubtful" if reasons else "good", "reasons": reasons, "revisits": 1}
@@ -156,6 +167,8 @@ def test_a_map_that_the_truth_denies_is_bad_whatever_the_mapper_believes(
     if worst is not None:
         # Not aligned it is off by more: a map without odometry begins at the origin.
         metrics |= {"ate_m": {"rmse": 2.0, "max": 2.1}, "ate_aligned_m": {"rmse": 0.1, "max": worst}}
+    if within is not None:
+        metrics["map"] = {"occupied_error_m": {"mean": 0.05, "p95": 0.1, "within_one_cell": within}}
     assert tell_map(metrics, tmp_path, 1.0) == (first != "bad")
     told = capfd.readouterr().err
     assert f"{first} map of 9 scans" in told

@@ -21,10 +21,14 @@ from tests.helpers.foreign_bags import (
     transform,
     write_foreign,
 )
+from turtlebag.datasets.bags import cdr
 from turtlebag.datasets.bags.doctor import examine
+from turtlebag.datasets.bags.mapping_input import NoScans
+from turtlebag.datasets.bags.topics import IMU
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import KINDS, Finding
 from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.types import Imu
 from turtlebag.pipeline.cli.main import main
 
 STEP = 100_000_000
@@ -79,6 +83,12 @@ def unfilled(k):
     topic, kind, time, message = odom(k, step=0.0)
     message.twist.twist.linear.x = 0.2
     return topic, kind, time, message
+
+
+def imu(k):
+    stamp = k * STEP + (k > 20) * 9 * STEP
+    data = cdr.imu("imu_link", Imu(stamp, np.zeros(3), np.zeros(3)), np.zeros(9), np.zeros(9))
+    return "/imu", IMU, stamp, data
 
 
 LOOP = [
@@ -149,6 +159,11 @@ CASES = {
     "a pose that is not filled in": (
         drive(unfilled, scan),
         {("pose not filled in", "/odom: the pose never changes but the twist does")},
+        {},
+    ),
+    "an IMU that pauses": (
+        drive(odom, scan, imu),
+        {("gaps", "/imu: 1 gap, the longest 1.00 s (usually 0.100 s)")},
         {},
     ),
     "gaps, repeats and steps back": (
@@ -233,6 +248,16 @@ def test_scans_that_are_all_damaged_are_no_scans_for_both(tmp_path):
     with pytest.raises(InputError, match=why):
         load_recording(bag)
     assert {(f.kind, f.severity) for f in examine(bag) if why in f.what} == {("no scans", "error")}
+
+
+def test_a_topic_of_two_types_without_a_scan_has_clouds_to_map(tmp_path):
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection("/scan", SCAN, typestore=STORE)
+        cloud = writer.add_connection("/scan", CLOUD, typestore=STORE)
+        writer.write(cloud, 1, bytes(STORE.serialize_cdr(empty_cloud(0)[3], CLOUD)))
+    with pytest.raises(NoScans, match=r"no /scan .* messages in this bag") as error:
+        load_recording(tmp_path / "bag")
+    assert error.value.clouds == ["/scan"]
 
 
 def test_a_finding_has_a_place_a_count_and_a_time(tmp_path):

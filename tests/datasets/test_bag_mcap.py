@@ -112,7 +112,7 @@ def test_a_chunk_is_closed_when_it_is_full_or_spans_a_second(tmp_path, writes, c
     assert chunks_of(tmp_path / "a" / "bag_0.mcap") == chunks
 
 
-def test_what_an_error_leaves_holds_its_messages_and_no_end(tmp_path):
+def test_what_an_error_leaves_is_a_whole_bag_of_what_was_written(tmp_path):
     told = [(k * 10**8, bytes([k])) for k in range(25)]
     with pytest.raises(RuntimeError), BagFolder(tmp_path / "a", custom={"seed": "3"}) as bag:  # noqa: PT012
         channel = bag.add_topic("/a", "A", "")
@@ -121,8 +121,9 @@ def test_what_an_error_leaves_holds_its_messages_and_no_end(tmp_path):
         raise RuntimeError
     scan = McapReader(tmp_path / "a" / "bag_0.mcap")
     assert [(time, data) for _, time, data in scan.messages()] == told
-    assert not scan.state.complete
-    assert "without its index" in scan.state.problems[0]
+    assert scan.state.complete
+    assert scan.state.problems == []
+    assert (tmp_path / "a" / "metadata.yaml").is_file()
     with pytest.raises(InputError, match="already holds a bag"):
         BagFolder(tmp_path / "a", custom={})
 

@@ -140,6 +140,12 @@ def test_an_old_version_is_named_with_what_converts_it(tmp_path, read, first_lin
         read(path)
 
 
+def test_an_old_version_in_a_folder_is_named_too(tmp_path):
+    (tmp_path / "old.bag").write_bytes(b"#ROSRECORD V1.2\n" + bytes(100))
+    with pytest.raises(InputError, match=r"old\.bag: a ROS 1 bag of version 1\.2"):
+        load_recording(tmp_path)
+
+
 @pytest.mark.parametrize("scan", [Ros1Reader, McapReader])
 def test_an_empty_file_is_said_to_be_empty(tmp_path, scan):
     (tmp_path / "none").touch()

@@ -8,6 +8,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from tests.helpers.foreign_bags import SCAN, TF, laser_scan, tf, transform, write_foreign
+from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.convert import to_mcap, to_sqlite3
 from turtlebag.datasets.bags.copying import into_mcap
 from turtlebag.datasets.bags.folder import BagFolder
@@ -174,3 +175,15 @@ def test_a_carmen_log_is_converted_whole(tmp_path, capsys):
         assert f"{option[0]}: a CARMEN log is converted whole" in capsys.readouterr().err
     with pytest.raises(InputError, match="no such file"):
         open_bag(tmp_path / "out")
+
+
+def test_a_ros1_bag_is_cut_and_loses_transforms_as_well(bag, tmp_path):
+    to_ros1_bag(bag, tmp_path / "a.bag")
+    selection = {"exclude_frames": ("camera", "odom"), "start_s": 2.0, "end_s": 6.0}
+    assert copied(tmp_path / "a.bag", tmp_path / "of_ros1", **selection) == copied(
+        bag, tmp_path / "b", **selection
+    )
+    assert set(links(tmp_path / "of_ros1")) == {
+        ("base_footprint", "base_scan"),
+        ("odom", "base_footprint"),
+    }

@@ -10,7 +10,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.number_text import decimal, decimals, whole
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.trajectories import load_tum, stamp_from_text
-from turtlebag.pipeline.cli.arguments import count, pose, positive
+from turtlebag.pipeline.stages.command_line import read as read_words
+from turtlebag.pipeline.stages.parser import count, positive
 from turtlebag.reports.g2o import read_g2o
 from turtlebag.sim.sdf import pose_matrix
 from turtlebag.sim.worlds import load_world
@@ -50,7 +51,7 @@ def test_options_and_other_files_take_plain_numbers_only(tmp_path):
         with pytest.raises(argparse.ArgumentTypeError, match="not 2_3"):
             read("2_3")
     with pytest.raises(InputError, match="--start 1_0,0,0: expected X,Y,YAW"):
-        pose("1_0,0,0", "--start")
+        read_words(["record", "--world", "empty", "--start", "1_0,0,0"])
     with pytest.raises(InputError, match="cells=1_0: must be a whole number"):
         load_world("maze:7,cells=1_0")
     with pytest.raises(ValueError):

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.ply import read_ply, write_ply
 from turtlebag.datasets.relations import load_relations
-from turtlebag.datasets.yaml_files import checked, find_named, known_names, parsed, read_mapping
+from turtlebag.datasets.yaml_files import checked, find_named, known_names, parsed
 
 S = 10**9
 
@@ -24,16 +24,6 @@ def test_relations_are_read_line_by_line(tmp_path):
     )
     np.testing.assert_allclose(found.T_a_b.xyt, [[1, 2, 0.5], [-1, 0, -0.5]])
     assert len(found) == 2
-    for text, says in (
-        ("1 2 3 4 5 6 7\n", "line 1: expected"), ("1\n", "line 1: expected"),
-        ("# x\n1 2 3 4 5 6 7 nan\n", "line 2: expected .*, all finite"),
-        ("1 2 inf 4 5 6 7 8\n", "line 1: expected .*, all finite"), ("# only\n", "no relations"),
-    ):  # fmt: skip
-        path.write_text(text)
-        with pytest.raises(InputError, match=says):
-            load_relations(path)
-    with pytest.raises(InputError, match="no such relations file"):
-        load_relations(tmp_path / "none")
 
 
 def test_ply_files_hold_points_and_colours(tmp_path):
@@ -51,16 +41,6 @@ def test_ply_files_hold_points_and_colours(tmp_path):
     other += b"property short z\nproperty float x\nproperty double y\nend_header\n"
     path.write_bytes(other + struct.pack("<hfdhfd", 3, 1.0, 2.0, 6, 4.0, 5.0))
     np.testing.assert_array_equal(read_ply(path), [[1, 2, 3], [4, 5, 6]])
-    for content, says in (
-        (data[:-1], "truncated"), (b"obj" + data[3:], "not a binary"),
-        (data.replace(b"little", b"bigger"), "not a binary"),
-        (other.replace(b"short z", b"short w"), "no points x, y, z"), (b"", "not a binary"),
-    ):  # fmt: skip
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=says):
-            read_ply(path)
-    with pytest.raises(InputError, match="cannot be read"):
-        read_ply(tmp_path / "none")
 
 
 class Small(BaseModel):
@@ -71,20 +51,6 @@ class Small(BaseModel):
 @pytest.mark.slow
 def test_yaml_is_read_with_one_line_for_what_is_wrong(tmp_path):
     path = tmp_path / "a.yaml"
-    for text, says in (
-        ("a: [1\nb: 2\n", "a.yaml, line 2: not valid YAML"),
-        ("- 1\n", "expected keys and values, found a list"),
-        ("", "the file is empty"),
-        ("a: 0000-00-00\n", "not valid YAML"), ("[" * 500_000, "nested too deeply"),
-    ):  # fmt: skip
-        path.write_text(text)
-        with pytest.raises(InputError, match=says):
-            read_mapping(path)
-    path.write_bytes(b"\xff\xfe\xfa")
-    with pytest.raises(InputError, match="not a text file"):
-        read_mapping(path)
-    with pytest.raises(InputError, match="no such file"):
-        read_mapping(tmp_path / "none")
     assert parsed("a: 1", where="x") == {"a": 1}
     assert checked(Small, {"size": 5}, where="x").size == 5
     for data, says in (

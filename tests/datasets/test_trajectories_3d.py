@@ -42,35 +42,6 @@ def test_tum_kitti_and_euroc_hold_the_same_poses(tmp_path):
         np.testing.assert_allclose(track.T, POSES, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "no poses"),
-        ("# only a comment\n", "no poses"),
-        ("hello world\n", "line 1: 2 words; a trajectory has 8 numbers"),
-        ("0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 1\n", "line 2: expected 't x y z qx qy qz qw'"),
-        ("0 0 0 nan 0 0 0 1\n", "line 1: expected 't x y z qx qy qz qw', all finite"),
-        ("0 0 0 0 0 0 0 0\n", "line 1: its quaternion has length 0, not 1"),
-        ("0 1e70 0 0 0 0 0 1\n", "line 1: its position is implausibly far away"),
-        ("x 0 0 0 0 0 0 1\n", "line 1: not numbers"),
-        ("9e99 0 0 0 0 0 0 1\n", "line 1: 9e99 is not a time in seconds"),
-        ("0.5,1,2,3,1,0,0,0\n", "line 1: expected a whole number of nanoseconds"),
-        ("0,1,2\n", "line 1: expected 't [ns], x, y, z, qw"),
-        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "1 poses do not match 0 scans"),
-        ("2 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: not a pose"),
-        ("1 0 0 0 0 1 0 0 0 0 1\n", "line 1: 11 words"),
-    ],
-)
-def test_what_is_no_trajectory_is_refused_in_one_line(tmp_path, text, said):
-    path = tmp_path / "poses.txt"
-    path.write_text(text)
-    scans = np.zeros(1, dtype=np.int64) if text.startswith("2 0") else NO_SCANS
-    with pytest.raises(InputError) as error:
-        read_trajectory_3d(path, None, scans)
-    assert said in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 def test_times_have_to_fit_their_poses(tmp_path):
     write_kitti(tmp_path / "a.txt", POSES)
     (tmp_path / "times").write_text("1\n2\n")

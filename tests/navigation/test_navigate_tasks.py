@@ -3,10 +3,8 @@ import pytest
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.cli import navigate as navigate_command
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.cli.parser import Parser
-from turtlebag.pipeline.navigation import driver_setup
+from turtlebag.pipeline.stages.requests.drives import ON_A_MAP, TAKEN_BY, TASKS, NavigateRequest
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, tutorial_patrol
 
@@ -22,10 +20,6 @@ def test_the_tutorial_patrol_is_the_eight_waypoints_in_order():
     expected = [(1.5, 1.5), (0, 2), (-1.5, 1.5), (-2, 0), (-1.5, -1.5), (0, -2), (1.5, -1.5), (2, 0)]
     assert [w.T_map_goal.xyt.tolist() for w in found.waypoints] == [[x, y, 0.0] for x, y in expected]
     np.testing.assert_array_equal(np.abs(found.keepout[0]), np.full((4, 2), 1.1))
-
-
-def test_the_command_offers_the_tasks_there_are():
-    assert set(navigate_command.TASKS) == set(driver_setup.TASKS)
 
 
 GIVEN = {
@@ -49,8 +43,6 @@ WITH_EVERY_TASK = {
     "teleop_override",
     "config",
     "settings",
-    "out",
-    "force",
 }
 
 
@@ -62,28 +54,26 @@ def refusal(capsys, *words):
     return error
 
 
-@pytest.mark.parametrize("task", navigate_command.TASKS)
+@pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("name", GIVEN)
 def test_an_option_that_the_task_does_not_use_is_refused_by_name(capsys, task, name):
-    needed = ["--map=m.yaml"] if task in navigate_command.TAKEN_BY["map"] else []
+    needed = ["--map=m.yaml"] if task in TAKEN_BY["map"] else []
     error = refusal(capsys, "--task", task, *needed, GIVEN[name])
-    if task in navigate_command.TAKEN_BY[name]:
+    if task in TAKEN_BY[name]:
         assert "unknown world 'moon'" in error
     else:
         assert f"{GIVEN[name].split('=')[0]}: not for --task {task}" in error
 
 
-@pytest.mark.parametrize("name", navigate_command.ON_A_MAP)
+@pytest.mark.parametrize("name", ON_A_MAP)
 def test_a_goal_without_a_map_refuses_what_only_a_map_gives_sense(capsys, name):
     option = GIVEN[name].split("=")[0]
     assert f"{option}: needs a map" in refusal(capsys, "--task", "goal", "--goal=1,0,0", GIVEN[name])
 
 
 def test_every_option_is_said_to_go_with_every_task_or_with_some():
-    parser = Parser()
-    navigate_command.add_arguments(parser)
-    options = set(vars(parser.parse_args(["--world=arena", "--task=avoid", "--out=run"])))
-    assert options == WITH_EVERY_TASK | set(navigate_command.TAKEN_BY) == WITH_EVERY_TASK | set(GIVEN)
+    options = set(NavigateRequest.model_fields)
+    assert options == WITH_EVERY_TASK | set(TAKEN_BY) == WITH_EVERY_TASK | set(GIVEN)
 
 
 def test_waits_before_the_first_and_pauses_after_each_reached():

@@ -1,17 +1,20 @@
 """Metrics against plain references and known answers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.helpers.report_fakes import ellipse, mapped_room, true_room
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.map import map_error, map_metrics, visible_surface
 from turtlebag.reports.metrics.navigation import collision_episodes, min_clearance, pose_error
+from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.trajectory import associate, ate, fit_rigid, rpe, trajectory_metrics
 from turtlebag.sim.worlds import load_world
 
@@ -209,3 +212,19 @@ def test_pose_error_wraps_the_yaw():
 def test_clearance_without_surfaces_is_none():
     assert min_clearance(np.array([np.inf, np.inf])) is None
     assert min_clearance(np.array([np.inf, 0.2, 0.1])) == 0.1
+
+
+def test_a_map_in_a_frame_of_its_own_is_measured_after_the_fit_and_the_reason_is_said():
+    """As one without odometry is: it begins at its own origin, wherever the truth begins."""
+    truth, T = Trajectory(np.arange(150, dtype=np.int64), ellipse()[::6]), SE2.from_xyt(3.0, -2.0, 0.7)
+    known, grid = References(truth, true_room()), mapped_room()
+    there = known.errors(truth, grid)
+    own = known.errors(moved(truth, T), replace(grid, T_map_grid=T @ grid.T_map_grid), odometry=False)
+    assert "fitted" not in there
+    assert own["fitted"].startswith("the recording has no odometry")
+    assert own["ate_m"]["max"] > 1.0
+    assert own["ate_aligned_m"]["max"] < 1e-9
+    assert own["map"]["occupied_error_m"]["within_one_cell"] == pytest.approx(
+        there["map"]["occupied_error_m"]["within_one_cell"], abs=0.01
+    )
+    assert known.errors(moved(truth, T), grid)["fitted"].startswith("the map does not begin where")

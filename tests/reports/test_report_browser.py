@@ -10,7 +10,7 @@ from tests.helpers.browser import Browser, find_browser
 from tests.helpers.report_fakes import fake_map, undrawn
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.cli.arguments import pose
+from turtlebag.pipeline.stages.command_line import read
 from turtlebag.pipeline.stages.compare import compare_outputs, compare_with_systems
 from turtlebag.pipeline.stages.report import make_index
 from turtlebag.planners.tasks.waypoints import load_waypoints
@@ -246,9 +246,10 @@ def test_a_click_copies_an_initial_pose_instead_when_that_is_chosen(browser, add
     places = browser.evaluate(CENTRE)
     pick(browser, "initial-pose")
     click(browser, places["room"])
-    option, text = browser.evaluate(READOUT).split()[0].split("=")
-    assert option == "--initial-pose"
-    assert pose(text, option).xyt.tolist() == pytest.approx([-1.0, 1.0, 0.0], abs=0.03)
+    option = browser.evaluate(READOUT).split()[0]
+    assert option.startswith("--initial-pose=")
+    asked = read(["localise", "rec", "--map", "m", option])
+    assert asked.initial_pose == pytest.approx([-1.0, 1.0, 0.0], abs=0.03)
 
 
 WAYPOINTS = """({

@@ -83,12 +83,13 @@ def test_clouds_of_some_scans_are_those_of_all():
 
 
 def test_a_map_that_is_surely_too_large_is_refused_before_it_is_drawn():
-    """Counting its beams would take a gigabyte."""
-    log, T = recording(rectangle(0.0, 0.0, 7.0, 6.0), POSES, LDS), SE2.from_array(POSES)
+    """Counting its beams would take half a gigabyte."""
+    poses = POSES * [1.8, 1.8, 1.0]
+    log, T = recording(rectangle(0.0, 0.0, 12.6, 10.8), poses, LDS), SE2.from_array(poses)
     tracemalloc.start()
     try:
         with pytest.raises(InputError, match=r"choose a larger grid\.resolution_m"):
-            make_grid(log, T, OccupancyConfig(resolution_m=0.0005), 30.0)
+            make_grid(log, T, OccupancyConfig(resolution_m=0.001), 30.0)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -15,7 +15,7 @@ def load(tmp_path, text=CAMPAIGN):
 
 
 def test_the_grid_has_every_combination_once(tmp_path):
-    found = cases(load(tmp_path))
+    found = cases(load(tmp_path), list)
     assert len(found) == 24
     assert len({case.name for case in found}) == 24
     strange = next(case for case in found if case.factors["kind"] == "strange")
@@ -27,35 +27,35 @@ def test_levels_can_be_scaled_and_can_name_each_other(tmp_path):
     text = CAMPAIGN.replace(
         "\"--odd 'two words'\"", '"--a={size:1-0.25*x} --b={size:0.1*x} --c={size:-2+0.5*x}"'
     )
-    strange = next(case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange")
+    strange = next(case for case in cases(load(tmp_path, text), list) if case.factors["kind"] == "strange")
     assert strange.commands["make"][-3:] == ["--a=0.75", "--b=0.1", "--c=-1.5"]
     with pytest.raises(InputError, match="not of the form"):
-        cases(load(tmp_path, text.replace("0.1*x", "x*x")))
+        cases(load(tmp_path, text.replace("0.1*x", "x*x")), list)
 
 
 def test_braces_that_name_no_stage_stay_as_they_are(tmp_path):
     text = CAMPAIGN.replace("\"--odd 'two words'\"", "\"--a={{b: {size}}} '{{'\"")
-    found = [case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange"]
+    found = [case for case in cases(load(tmp_path, text), list) if case.factors["kind"] == "strange"]
     assert found[0].commands["make"][-3:] == ["--a={b:", "1}", "{"]
     assert recipes(found[0], "")["make"] != recipes(found[4], "")["make"]
-    words = ["--a={b}", "{", "{make}/metrics.json", "{later}"]
-    assert with_places(words, {"make": tmp_path}) == ["--a={b}", "{", f"{tmp_path}/metrics.json", "{later}"]
+    text = "--a={b} { {make}/metrics.json {later}"
+    assert with_places(text, {"make": tmp_path}) == f"--a={{b}} {{ {tmp_path}/metrics.json {{later}}"
 
 
 def test_levels_can_stand_for_texts(tmp_path):
     text = CAMPAIGN.replace("\"--odd 'two words'\"", '"{size:--a [0, 0]|--b|--c [1]}"')
-    found = [case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange"]
+    found = [case for case in cases(load(tmp_path, text), list) if case.factors["kind"] == "strange"]
     assert found[0].commands["make"][-3:] == ["--a", "[0,", "0]"]
     assert [case.commands["make"][-1] for case in found[4::4]] == ["--b", "[1]"]
     with pytest.raises(InputError, match="no text for level 3"):
-        cases(load(tmp_path, text.replace("|--c [1]", "")))
+        cases(load(tmp_path, text.replace("|--c [1]", "")), list)
 
 
 def test_cases_whose_commands_are_the_same_are_rows_of_their_own(tmp_path):
     text = CAMPAIGN.replace("\"--odd 'two words'\"", '"--b={size:0*x}"').replace(
         "--size {size} ", "--size 1 "
     )
-    found = cases(load(tmp_path, text))
+    found = cases(load(tmp_path, text), list)
     assert found[0].commands == found[8].commands
     assert len({case.name for case in found}) == len(found) == 24
 
@@ -64,12 +64,12 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
     text = CAMPAIGN.replace("size: [1, 2, 3]", "size: {low: 0.5, high: 2.0}")
     with pytest.raises(InputError, match="needs `sample`"):
         load(tmp_path, text)
-    found = cases(load(tmp_path, text + "sample: 50\n"))
+    found = cases(load(tmp_path, text + "sample: 50\n"), list)
     sizes = [case.factors["size"] for case in found]
     assert len(sizes) == 50
     assert 0.5 <= min(sizes) < max(sizes) <= 2.0
-    assert cases(load(tmp_path, text + "sample: 50\n")) == found
-    assert cases(load(tmp_path, text + "sample: 50\nseed: 2\n")) != found
+    assert cases(load(tmp_path, text + "sample: 50\n"), list) == found
+    assert cases(load(tmp_path, text + "sample: 50\nseed: 2\n"), list) != found
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
 def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
     assert old in CAMPAIGN
     with pytest.raises(InputError, match=message):
-        cases(load(tmp_path, CAMPAIGN.replace(old, new)))
+        cases(load(tmp_path, CAMPAIGN.replace(old, new)), list)
 
 
 def test_every_shipped_study_can_be_expanded():

@@ -154,26 +154,6 @@ def test_without_an_initial_pose_it_is_rejected_with_complete_outputs(room_log, 
     assert (tmp_path / "out" / "manifest.json").is_file()
 
 
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        (["--initial-pose=2,2"], "expected three numbers"),
-        (["--initial-pose=start"], "expected X,Y,YAW (metres and radians); or global"),
-        (["--initial-pose=2,2,nan"], "not a finite number"),
-        (["--initial-pose=40,3,0"], "--initial-pose 40,3,0: is off the map "),
-        (["--initial-pose=2,2,0", "--set", "amcl.min_particles=0"], "min_particles"),
-        (["--initial-pose=2,2,0", "--set", "amcl.no_such=1"], "unknown key"),
-        (["--initial-pose=2,2,0", "--truth", "nowhere"], "nowhere: no truth found"),
-    ],
-)
-def test_bad_input_is_one_line_and_nothing_is_written(room_log, tmp_path, capsys, more, words):
-    assert run(room_log, tmp_path / "out", *more) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
-    assert not any(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("verb", ["map", "localise"])
 def test_an_estimate_is_no_truth_and_a_run_with_both_has_one(room_log, tmp_path, capsys, verb):
     estimate = tmp_path / "estimate"
@@ -189,17 +169,6 @@ def test_an_estimate_is_no_truth_and_a_run_with_both_has_one(room_log, tmp_path,
     assert not (tmp_path / "out").exists()
     shutil.copytree(room_log / "truth", estimate / "truth")
     assert truth_folder(estimate) == estimate / "truth"
-
-
-def test_a_map_with_nothing_on_it_is_refused(room_log, tmp_path, capsys):
-    grid = l_shaped_room().grid()
-    grid.cells[:] = 0
-    save_map(grid, tmp_path, "blank")
-    out, blank = tmp_path / "out", tmp_path / "blank.yaml"
-    words = f"localise {room_log / 'log.clf'} --map {blank} --out {out} --initial-pose=2,2,0"
-    assert cli.main(words.split()) == 2
-    assert "no occupied cell" in capsys.readouterr().err
-    assert not out.exists()
 
 
 def test_a_nav2_parameter_file_configures_the_filter(tmp_path):

@@ -8,7 +8,6 @@ import pytest
 
 from tests.helpers.drives3d import changed, make_drive, without_wheels
 from tests.helpers.foreign_bags import CLOUD, FIELD, SCAN, TYPES, header, laser_scan, write_foreign
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.ply import read_ply
@@ -79,26 +78,3 @@ def test_planar_scans_come_first_and_a_topic_chooses(bag, drive, tmp_path):
     assert "map.ply" not in files(tmp_path / "flat")
     assert build_map(MapInputs(Source(path, topic="/points")), Output(tmp_path / "deep")) == 0
     assert "map.ply" in files(tmp_path / "deep")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"topic": "/nothing"}, "--topic /nothing is not in this bag"),
-        ({"also": [Path("other")]}, "--also: for 2D scans only"),
-        ({"settings": ["grid.resolution_m=0.1"]}, "grid"),
-        ({"settings": ["slice.low_m=0.5", "slice.high_m=0.2"]}, "low_m must be below high_m"),
-    ],
-)
-def test_what_does_not_fit_is_one_line_and_nothing_written(bag, tmp_path, arguments, words):
-    source = Source(bag, topic=arguments.get("topic"))
-    inputs = MapInputs(source, also=[bag] if "also" in arguments else [])
-    with pytest.raises(InputError, match=words):
-        build_map(inputs, Output(tmp_path / "out"), settings=arguments.get("settings", []))
-    assert not list(tmp_path.iterdir())
-
-
-def test_settings_of_3d_are_refused_for_planar_scans(tmp_path):
-    path = write_foreign(tmp_path / "flat", [("/scan", SCAN, 0, laser_scan(0, [2.0] * 360))])
-    with pytest.raises(InputError, match="slice"):
-        build_map(MapInputs(Source(path)), Output(tmp_path / "out"), settings=["slice.high_m=0.5"])

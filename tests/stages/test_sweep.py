@@ -1,17 +1,16 @@
 """Campaigns as they run: failures, resuming, the table."""
 
 import json
-import sys
 import uuid
 from pathlib import Path
 
 import pytest
 
-from tests.helpers.campaigns import CAMPAIGN, UNDRAWN
+from tests.helpers.campaigns import CAMPAIGN, FAKES, UNDRAWN, fake, read_fake
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.output_rules import MARKER
-from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree, write_json
 from turtlebag.pipeline.campaign.campaign_file import Campaign, load_campaign
 from turtlebag.pipeline.campaign.case import Where, recipes, run_case
 from turtlebag.pipeline.campaign.cases import Case, cases
@@ -20,24 +19,6 @@ from turtlebag.pipeline.campaign.table import query, write_table
 from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 
 ROOT = Path(__file__).parents[2]
-
-
-def fake_main(argv):
-    """Stands in for the command line: a stage that knows its answer at once."""
-    given = dict(zip(argv[1::2], argv[2::2], strict=False))
-    size = int(given["--size"])
-    if size == 99:
-        raise RuntimeError("a defect")
-    if size == 98:
-        print("turtlebag: bad size 98", file=sys.stderr)
-        return 2
-    out = Path(argv[argv.index("--out") + 1])
-    out.mkdir(parents=True)
-    noise = 0.001 * int(given.get("--seed", 0))
-    write_json(out / "metrics.json", {"error": {"rmse": 0.1 * size + noise}, "good": size < 3})
-    (out / "big.bin").write_bytes(b"0" * 100)
-    write_manifest(out, stage="fake", command=argv, inputs={}, seed=None, wall_s=0.0)
-    return 0
 
 
 @pytest.mark.parametrize("sql", ["", ";", "-- nothing"])
@@ -116,15 +97,15 @@ results: {good: "make:good", worse: "make:error.rsme", whole: "make:error", noth
 def test_a_result_that_no_case_has_is_an_error_that_names_it(tmp_path, caplog):
     from turtlebag.pipeline.campaign.sweep import sweep
 
-    def run(argv):
-        code = fake_main(argv)
-        path = Path(argv[argv.index("--out") + 1]) / "metrics.json"
+    def run(asked, out):
+        code = fake(asked, out)
+        path = out.folder / "metrics.json"
         write_json(path, {**json.loads(path.read_text()), "nothing": None})
         return code
 
     file = tmp_path / "mine.yaml"
     file.write_text(MISSPELT)
-    assert sweep(str(file), Output(tmp_path / "out"), run, scheduler="threads") == 1
+    assert sweep(str(file), Output(tmp_path / "out"), run=run, read=read_fake, scheduler="threads") == 1
     errors = [record.message for record in caplog.records if record.levelname == "ERROR"]
     assert errors == [
         f"{file}: results.worse: no case has make:error.rsme; did you mean make:error.rmse?",
@@ -135,16 +116,17 @@ def test_a_result_that_no_case_has_is_an_error_that_names_it(tmp_path, caplog):
     assert len(early) == 2
     assert query(Store(str(tmp_path / "out")), "SELECT count(good) FROM runs") == (["count(good)"], [(2,)])
     file.write_text(MISSPELT.replace('worse: "make:error.rsme", whole: "make:error", ', ""))
-    assert sweep(str(file), Output(tmp_path / "right"), run, scheduler="threads") == 0
+    assert sweep(str(file), Output(tmp_path / "right"), run=run, read=read_fake, scheduler="threads") == 0
 
 
-def row_of(tmp_path, run=fake_main, at=None, **factors):
+def row_of(tmp_path, run=fake, at=None, **factors):
     commands = {"make": ["fake", "--size", str(factors["size"]), "--seed", "2"]}
+    requests = {stage: read_fake(words) for stage, words in commands.items()}
     wanted = {"results": {"error_m": "make:error.rmse"}, "keep": ["metrics.json"]}
     wanted = {"stages": {"make": "fake"}, **wanted, **(at or {})}
     campaign = Campaign(name="small", factors={"size": [1]}, **wanted)
     where = Where(Store(str(tmp_path)), Store(str(tmp_path / "outputs")), "")
-    return run_case(Case("c", factors, commands), campaign, where, run)[0]
+    return run_case(Case("c", factors, commands, requests), campaign, where, run)[0]
 
 
 def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path):
@@ -172,12 +154,6 @@ def scheduler():
         yield cluster.scheduler_address
 
 
-def hushed(argv):
-    """A stage that shows nothing but its errors, as every one that is run with --quiet."""
-    set_verbosity(-1)
-    return fake_main(argv)
-
-
 @pytest.mark.slow
 def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
     from turtlebag.pipeline.campaign.sweep import sweep
@@ -186,7 +162,13 @@ def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
     with verbosity_kept():
         set_verbosity(0)
         assert (
-            sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), hushed, scheduler="threads") == 1
+            sweep(
+                str(tmp_path / "campaign.yaml"),
+                Output(tmp_path / "out"),
+                **FAKES,
+                scheduler="threads",
+            )
+            == 1
         )
     said = capfd.readouterr().err
     assert said.count("make: turtlebag: bad size 98\n") == 8
@@ -196,13 +178,9 @@ def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
 def test_the_commands_of_every_case_are_checked_before_the_first_runs(tmp_path):
     from turtlebag.pipeline.campaign.sweep import sweep
 
-    def parsed(words):
-        if "--odd" in words:
-            raise InputError("unrecognized arguments: --odd")
-
-    (tmp_path / "campaign.yaml").write_text(UNDRAWN)
-    with pytest.raises(InputError, match=r"stages\.make: unrecognized arguments: --odd"):
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, parsed)
+    (tmp_path / "campaign.yaml").write_text(UNDRAWN.replace("--odd", "--od"))
+    with pytest.raises(InputError, match=r"stages\.make: fake: unrecognized arguments: --od; did you mean"):
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), **FAKES)
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.yaml"]
 
 
@@ -211,7 +189,12 @@ def test_a_scheduler_that_is_not_there_leaves_nothing(tmp_path):
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     with pytest.raises(InputError, match="no scheduler answers there"):
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, scheduler="bananas")
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "out"),
+            **FAKES,
+            scheduler="bananas",
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.yaml"]
 
 
@@ -220,7 +203,15 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
     from turtlebag.pipeline.campaign.sweep import sweep
 
     (tmp_path / "mine.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
-    assert sweep(str(tmp_path / "mine.yaml"), Output(tmp_path / "out"), fake_main, scheduler=scheduler) == 1
+    assert (
+        sweep(
+            str(tmp_path / "mine.yaml"),
+            Output(tmp_path / "out"),
+            **FAKES,
+            scheduler=scheduler,
+        )
+        == 1
+    )
     names, rows = query(
         Store(str(tmp_path / "out")),
         "SELECT size, median(error_m) AS m, "
@@ -255,7 +246,12 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, schedul
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     assert (
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "whole"), fake_main, scheduler=scheduler)
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "whole"),
+            **FAKES,
+            scheduler=scheduler,
+        )
         == 0
     )
 
@@ -267,12 +263,22 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, schedul
 
     monkeypatch.setattr("turtlebag.pipeline.campaign.sweep.track", stopped)
     with pytest.raises(KeyboardInterrupt):
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "parts"), fake_main, scheduler=scheduler)
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "parts"),
+            **FAKES,
+            scheduler=scheduler,
+        )
     done = len(list((tmp_path / "parts.partial/rows").glob("*.json")))
     assert 10 <= done <= 24
     monkeypatch.undo()
     assert (
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "parts"), fake_main, scheduler=scheduler)
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "parts"),
+            **FAKES,
+            scheduler=scheduler,
+        )
         == 0
     )
     assert sha256_tree(tmp_path / "parts") == sha256_tree(tmp_path / "whole")
@@ -285,21 +291,34 @@ def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, scheduler)
     ran = tmp_path / "ran"  # what is run goes to the workers as a copy: it counts in files
     ran.mkdir()
 
-    def counted(argv):
+    def counted(asked, out):
         (ran / uuid.uuid4().hex).touch()
-        return fake_main(argv)
+        return fake(asked, out)
 
     text = UNDRAWN.replace("--seed {seed} {kind}", "--seed {seed}").replace(
         "metrics.json", "metrics.json {kind}"
     )
     (tmp_path / "campaign.yaml").write_text(text)
     assert (
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "alone"), counted, scheduler=scheduler) == 0
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "alone"),
+            run=counted,
+            read=read_fake,
+            scheduler=scheduler,
+        )
+        == 0
     )
     assert len(list(ran.iterdir())) == 2 * 24
     (tmp_path / "campaign.yaml").write_text(text + "shared: [make]\n")
     assert (
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "together"), counted, scheduler=scheduler)
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "together"),
+            run=counted,
+            read=read_fake,
+            scheduler=scheduler,
+        )
         == 0
     )
     assert len(list(ran.iterdir())) == 2 * 24 + 24 + 12
@@ -332,7 +351,12 @@ def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, scheduler):
     (tmp_path / "out.partial/config.yaml").write_text("name: other\n")
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     with pytest.raises(InputError, match="another campaign"):
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, scheduler=scheduler)
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "out"),
+            **FAKES,
+            scheduler=scheduler,
+        )
 
 
 @pytest.mark.slow
@@ -349,9 +373,9 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
             (lock.partial / "rows/old.json").write_text("old")
     monkeypatch.setattr(sweep, "surroundings", lambda: "of tomorrow")
     with pytest.raises(InputError, match=r"other code.*--force"):
-        sweep.sweep(file, Output(out), fake_main, scheduler=scheduler)
+        sweep.sweep(file, Output(out), **FAKES, scheduler=scheduler)
     assert (tmp_path / "out.partial/rows/old.json").exists()
-    assert sweep.sweep(file, Output(out, force=True), fake_main, scheduler=scheduler) == 0
+    assert sweep.sweep(file, Output(out, force=True), **FAKES, scheduler=scheduler) == 0
     assert not (out / "rows").exists()
     assert not (out / sweep.MARK).exists()
 
@@ -364,7 +388,13 @@ def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_rea
     text = UNDRAWN.replace("--odd 'two words'", f"--world={tmp_path}/own.yaml:gate=open")
     (tmp_path / "campaign.yaml").write_text(text)
     assert (
-        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, scheduler=scheduler) == 0
+        sweep(
+            str(tmp_path / "campaign.yaml"),
+            Output(tmp_path / "out"),
+            **FAKES,
+            scheduler=scheduler,
+        )
+        == 0
     )
     inputs = json.loads((tmp_path / "out/manifest.json").read_text())["inputs"]
     assert inputs["campaign"]["sha256"] == {"campaign.yaml": sha256_text(text)}

@@ -4,8 +4,10 @@ import json
 import math
 import time
 import uuid
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Annotated
 
 import distributed
 import fsspec
@@ -22,6 +24,9 @@ from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
 from turtlebag.pipeline.campaign.worst import worst_case
+from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.requests.options import Option
+from turtlebag.pipeline.stages.requests.request import Request
 
 CAMPAIGN = """
 name: fleet
@@ -37,13 +42,27 @@ against: 1
 """
 
 
-def count_scans(argv):
-    """Stands in for the command line: a stage that reads a bag."""
-    out = Path(argv[argv.index("--out") + 1])
-    scans = len(load_recording(Path(argv[1])))
+class Count(Request):
+    """What is asked of a stage that reads a bag."""
+
+    VERB = "count"
+    EXAMPLE = "turtlebag count BAG --out out"
+
+    bag: Annotated[Path, Option("BAG", "bag", "rec", read=Path, positional=True)]
+    of: Annotated[Path | None, Option("FILE", "an earlier count", "metrics.json", read=Path)] = None
+    way: Annotated[int, Option("N", "which way", "1", read=int)] = 0
+
+
+read_count = partial(read, kinds={"count": Count})
+
+
+def count_scans(asked, output):
+    """Stands in for the stages: one that reads a bag."""
+    out = output.folder
+    scans = len(load_recording(asked.bag))
     out.mkdir(parents=True)
     write_json(out / "metrics.json", {"scans": scans})
-    write_manifest(out, stage="count", command=argv, inputs={}, seed=None, wall_s=0.0)
+    write_manifest(out, stage="count", command=[], inputs={}, seed=None, wall_s=0.0)
     return 0
 
 
@@ -186,13 +205,15 @@ def test_every_bag_is_a_row_and_the_store_holds_all(place, tmp_path):
     ran = tmp_path / "ran"  # what is run goes to the workers as a copy: it counts in files
     ran.mkdir()
 
-    def counted(argv):
+    def counted(asked, out):
         (ran / uuid.uuid4().hex).touch()
-        return count_scans(argv)
+        return count_scans(asked, out)
 
     def run(out):
         options = {"store": f"{place}/campaigns", "scheduler": "threads", "workers": 3}
-        return sweep(str(tmp_path / "fleet.yaml"), Output(tmp_path / out), counted, **options)
+        return sweep(
+            str(tmp_path / "fleet.yaml"), Output(tmp_path / out), run=counted, read=read_count, **options
+        )
 
     assert run("out") == 1
     store = Store(f"{place}/campaigns/fleet")
@@ -204,7 +225,7 @@ def test_every_bag_is_a_row_and_the_store_holds_all(place, tmp_path):
     ]
     failed = {b: error for b, _, scans, error in rows if scans is None}
     assert set(failed) == {"c.mcap", "gone.mcap"}
-    assert "count: InputError: " in failed["c.mcap"]
+    assert "count: turtlebag: " in failed["c.mcap"]
     assert "/runs/c.mcap: damaged bag" in failed["c.mcap"]
     assert failed["gone.mcap"].endswith("/gone.mcap: no such file or folder")
     shared = store.names("shared")
@@ -235,7 +256,7 @@ def test_the_worst_case_is_the_first_with_the_largest_number(tmp_path):
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).touch()
     campaign = load_campaign(str(tmp_path / "fleet.yaml"))
-    todo, store = cases(campaign), Store(str(tmp_path / "out"))
+    todo, store = cases(campaign, read_count), Store(str(tmp_path / "out"))
     where = Where(store, store, "")
     values = [7, 9, None, True, 9, math.nan]
     rows = [row_of(case, campaign, "") | {"scans": n} for case, n in zip(todo, values, strict=True)]
@@ -253,16 +274,28 @@ def test_bags_are_a_factor_with_a_name_of_its_own(tmp_path):
     ]:
         (tmp_path / "fleet.yaml").write_text(CAMPAIGN.replace(old, new).format(at=tmp_path))
         with pytest.raises(InputError, match=message):
-            cases(load_campaign(str(tmp_path / "fleet.yaml")))
+            cases(load_campaign(str(tmp_path / "fleet.yaml")), read_count)
 
 
 def test_a_store_that_only_one_process_sees_needs_threads(tmp_path):
     from turtlebag.pipeline.campaign.sweep import sweep
 
     (tmp_path / "small.yaml").write_text(
-        "name: s\nfactors: {k: [1]}\nstages: {a: 'x {k}'}\nresults: {r: 'a:r'}"
+        "name: s\nfactors: {k: [1]}\nstages: {a: 'count x --way {k}'}\nresults: {r: 'a:r'}"
     )
     with pytest.raises(InputError, match="add --scheduler threads"):
-        sweep(str(tmp_path / "small.yaml"), Output(tmp_path / "out"), count_scans, store="memory://x")
+        sweep(
+            str(tmp_path / "small.yaml"),
+            Output(tmp_path / "out"),
+            run=count_scans,
+            read=read_count,
+            store="memory://x",
+        )
     with pytest.raises(InputError, match="Protocol not known"):
-        sweep(str(tmp_path / "small.yaml"), Output(tmp_path / "out"), count_scans, store="nowhere://x")
+        sweep(
+            str(tmp_path / "small.yaml"),
+            Output(tmp_path / "out"),
+            run=count_scans,
+            read=read_count,
+            store="nowhere://x",
+        )

@@ -29,8 +29,12 @@ import os, sys, time
 from pathlib import Path
 from turtlebag.datasets.outputs import Output, write_json, write_manifest
 
-def main(argv):
-    out = Path(argv[argv.index("--out") + 1])
+class Words(tuple):
+    def moved(self, place):
+        return Words(map(place, self))
+
+def run(argv, output):
+    out = output.folder
     note = Path(os.environ["RAN"], f"{os.getpid()}-{argv[0]}-{argv[2]}-{argv[4]}-{time.monotonic_ns()}")
     if argv[0] == "base":
         note.with_suffix(".begun").touch()
@@ -49,7 +53,7 @@ if __name__ == "__main__":
     from turtlebag.pipeline.terminal.messages import set_verbosity
     set_verbosity(0)
     options = {"scheduler": sys.argv[3], "store": sys.argv[4]} if len(sys.argv) > 3 else {"workers": 1}
-    sys.exit(sweep(sys.argv[1], Output(Path(sys.argv[2])), main, **options))
+    sys.exit(sweep(sys.argv[1], Output(Path(sys.argv[2])), run=run, read=Words, **options))
 """
 # The lock of a lost worker is given up sooner than usual.
 LOCKS = {
@@ -108,7 +112,8 @@ def undisturbed(place, monkeypatch):
             sweep(
                 str(place / "small.yaml"),
                 Output(place / "whole"),
-                stand_in["main"],
+                run=stand_in["run"],
+                read=stand_in["Words"],
                 scheduler=cluster.scheduler_address,
             )
             == 1

@@ -1,247 +1,304 @@
-"""Verification finds every wrong number in a report, and nothing in a correct one."""
+"""Verification finds whatever was changed in a report or below it, and nothing in an honest one."""
 
 import json
 import re
 import shutil
-from dataclasses import replace
+from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tests.helpers.report_fakes import fake_map, fake_record, fake_run, rehash, undrawn
+from tests.helpers.report_fakes import fake_map, fake_record, rehash, undrawn
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.runlog import RunLog
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.stages.recompute import same
-from turtlebag.pipeline.stages.report import make_report
-from turtlebag.pipeline.stages.verify import verify
+from turtlebag.pipeline.stages.command_line import recorded
+from turtlebag.pipeline.stages.record import record_drive, scene_of
+from turtlebag.pipeline.stages.requests.drives import KeyboardRequest
+from turtlebag.pipeline.stages.requests.maps import MapRequest
+from turtlebag.pipeline.stages.requests.pages import ReportRequest
+from turtlebag.pipeline.stages.run import run
+from turtlebag.pipeline.stages.verify import Check, verify
 from turtlebag.reports.g2o import read_g2o, read_loops
+from turtlebag.sim.script_driver import Twist
+
+pytestmark = pytest.mark.slow
+STAGES = ("record", "map", "run")
 
 
-@pytest.fixture(scope="module")
-def original(tmp_path_factory):
-    base = tmp_path_factory.mktemp("verify")
-    record = fake_record(base / "record")
-    stages = [record, fake_map(base / "map", record), fake_run(base / "run", base / "map", missed=True)]
+@pytest.fixture
+def tree(chain, tmp_path):
+    """An honest report and its stages, moved together: nothing is left where it was made."""
+    for name in (*STAGES, "report"):
+        shutil.copytree(chain / name, tmp_path / name)
+    manifest = tmp_path / "report/manifest.json"
+    manifest.write_text(manifest.read_text().replace(f'"path": "{chain}', '"path": "/nowhere'))
+    return tmp_path
+
+
+def found_in(tree, **options):
     with undrawn():
-        make_report(stages, Output(base / "report"), animate=False)
-    return base
+        return verify(tree / "report", **options)
+
+
+def reported_again(tree, *stages):
+    """What a forger does last: a report of what he has changed."""
+    shutil.rmtree(tree / "report", ignore_errors=True)
+    with undrawn():
+        asked = ReportRequest(folders=tuple(tree / name for name in stages or STAGES), animate=False)
+        assert run(asked, Output(tree / "report")) == 0
+
+
+def edit_json(path, change):
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data, indent=2) + "\n")
+
+
+def test_an_honest_report_verifies(tree):
+    found = found_in(tree)
+    assert (found.problems, found.not_run, found.unchecked, found.elsewhere) == ([], [], [], [])
+    assert len(found.checks) > 50
+    assert all(check.agrees for check in found.checks)
+    known = {check.key for check in found.checks}
+    keys = re.findall(r'data-key="([^"]*)" data-value', (tree / "report/index.html").read_text())
+    assert len(keys) > 30
+    assert set(keys) <= known
+
+
+def in_metrics(stage, change):
+    def forge(tree):
+        edit_json(tree / stage / "metrics.json", change)
+        rehash(tree / stage, "metrics.json")
+
+    return forge
+
+
+def in_manifest(stage, change):
+    return lambda tree: edit_json(tree / stage / "manifest.json", change)
+
+
+def in_config(tree):
+    path = tree / "run/config.yaml"
+    text = path.read_text()
+    path.write_text(text.replace("sensors: realistic", "sensors: clean"))
+    assert path.read_text() != text
+    rehash(tree / "run", "config.yaml")
+
+
+def a_command_that_cannot_run(tree):
+    """After which everything may be forged."""
+    edit_json(tree / "map/manifest.json", lambda m: m.update(command=["turtlebag", "mpa", "x"]))
+    in_metrics("map", lambda m: m["ate_m"].update(rmse=0.0))(tree)
+
+
+FORGED = {
+    "the verdict of a map": (
+        in_metrics("map", lambda m: m["self_check"].update(verdict="doubtful")),
+        "room/map:self_check.verdict: reported doubtful, computed good",
+    ),
+    "its reasons": (
+        in_metrics("map", lambda m: m["self_check"].update(reasons=["all is well"])),
+        "room/map:self_check.reasons.0: reported all is well, not made again",
+    ),
+    "its error": (
+        in_metrics("map", lambda m: m["ate_m"].update(rmse=0.0001)),
+        "room/map:ate_m.rmse: reported 0.0001, computed ",
+    ),
+    "no goals": (
+        in_metrics("run", lambda m: m.update(goals=[])),
+        "room-2/patrol:goals.0.status: reported None, computed reached",
+    ),
+    "an invented key": (
+        in_metrics("run", lambda m: m.update(award="best paper")),
+        "room-2/patrol:award: reported best paper, not made again",
+    ),
+    "another seed": (
+        in_manifest("run", lambda m: m.update(seed=7)),
+        "room-2/patrol: its manifest says seed 7; run again, it is 3",
+    ),
+    "another seed of all": (
+        in_manifest("run", lambda m: (m.update(seed=7), m["request"].update(seed=7))),
+        "room-2/patrol: the command in its manifest has another seed than its request: 3 and 7",
+    ),
+    "clean sensors": (in_config, "room-2/patrol/config.yaml: made again, it has other content"),
+    "a command that cannot run": (
+        a_command_that_cannot_run,
+        "room/map: the command in its manifest cannot run: invalid choice: 'mpa'",
+    ),
+    "a request that cannot be run": (
+        in_manifest("map", lambda m: m["request"].update(source="nowhere")),
+        "room/map: cannot be run again: nowhere: no such file or folder",
+    ),
+    "no request": (
+        in_manifest("map", lambda m: m.pop("request")),
+        "room/map: made by an earlier version: run it again",
+    ),
+    "a part from outside": (
+        in_manifest("map", lambda m: m["request"]["settings"].update(front_end="my.parts:Mine")),
+        "room/map: names my.parts:Mine, from outside the package; --allow-commands runs it",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_what_is_forged_in_a_stage_is_named_though_its_hash_and_the_report_are_made_anew(tree, name):
+    forge, said = FORGED[name]
+    forge(tree)
+    reported_again(tree, *(STAGES[:2] if "room/map" in said else STAGES))
+    found = found_in(tree)
+    assert any(line.startswith(said) for line in (*found.problems, *found.not_run)), found
+    assert main(["verify", str(tree / "report"), "-q"]) == 1
+
+
+def on_the_page(old, new):
+    def forge(report):
+        page = report / "index.html"
+        text = page.read_text()
+        assert old in text
+        page.write_text(text.replace(old, new, 1))
+        rehash(report, "index.html")
+
+    return forge
+
+
+def a_figure(report):
+    (report / "figures/room-map-graph.png").write_bytes(b"another")
+    rehash(report, "figures/room-map-graph.png")
+
+
+def a_table(report):
+    path = report / "tables/numbers.csv"
+    path.write_text(path.read_text() + "room/map,award,1\n")
+    rehash(report, "tables/numbers.csv")
+
+
+PAGE = {
+    "a figure": a_figure,
+    "a table": a_table,
+    "the title": on_the_page("<title>", "<title>Certified: "),
+    "the style": on_the_page("<style>", "<style>.bad {display: none} "),
+    "text of a picture": on_the_page("</svg>", "<text>0 cm</text></svg>"),
+    "text after the script": on_the_page("</html>", "<p>All goals reached.</p></html>"),
+    "a verdict": on_the_page("goals reached", "goals easily reached"),
+}
+
+
+@pytest.mark.parametrize("name", PAGE)
+def test_what_is_forged_in_the_report_is_named_though_its_hash_is_made_anew(tree, name):
+    PAGE[name](tree / "report")
+    (problem,) = found_in(tree, quick=True).problems
+    assert re.fullmatch(r"report/[\w/.-]+: made again, it has other content", problem)
+
+
+def test_numbers_of_the_report_alone_are_compared_with_the_stages(tree):
+    edit_json(tree / "report/metrics.json", lambda m: m["room"]["map"].update(keyframes=9999))
+    rehash(tree / "report", "metrics.json")
+    problems = found_in(tree, quick=True).problems
+    assert "room/map:keyframes: the report and the stage's own metrics differ" in problems
+
+
+def test_a_changed_file_and_a_lost_input_are_named(tree):
+    path = tree / "map/trajectory.tum"
+    path.write_text(path.read_text() + "\n")
+    shutil.rmtree(tree / "record/truth")
+    found = found_in(tree)
+    assert "room/map/trajectory.tum: does not match its manifest" in found.problems
+    assert any(line.startswith("room/map: its input source, ") for line in found.not_run)
+    assert "room/map:ate_m.rmse" in found.unchecked
+
+
+def test_an_input_that_is_no_stage_of_the_report_is_hashed(chain, tmp_path):
+    shutil.copy(chain / "drive.log", tmp_path / "drive.log")
+    assert run(MapRequest(source=tmp_path / "drive.log"), Output(tmp_path / "map")) == 0
+    reported_again(tmp_path, "map")
+    # By Python nobody typed a command, and none is missed.
+    assert found_in(tmp_path).not_run == []
+    (tmp_path / "drive.log").write_text("another\n")
+    (line,) = found_in(tmp_path).not_run
+    assert re.fullmatch(r"\S+/map: its input source, .*drive\.log, is not what it was \(drive\.log\)", line)
+    (tmp_path / "drive.log").unlink()
+    (line,) = found_in(tmp_path).not_run
+    assert re.fullmatch(r"\S+/map: its input source, .*drive\.log, is gone", line)
+
+
+def test_a_drive_by_hand_is_driven_again_by_its_own_commands(chain, tmp_path):
+    asked = KeyboardRequest(world=str(chain / "room.yaml"), seed=5)
+
+    def hand():
+        for _ in range(40):
+            yield Twist(0.1, 0.3)
+
+    driver = hand()
+    output = recorded(asked, Output(tmp_path / "record"))
+    assert record_drive(scene_of(asked), driver, "keyboard:keys", output) == 0
+    reported_again(tmp_path, "record")
+    found = found_in(tmp_path)
+    assert (found.problems, found.not_run) == ([], [])
+    edit_json(tmp_path / "record/manifest.json", lambda m: m["request"].update(seed=6))
+    assert any("bag_0.mcap: made again" in line for line in found_in(tmp_path).problems)
+
+
+def test_on_another_machine_numbers_may_differ_within_their_tolerances(tree, capsys):
+    for name in STAGES:
+        edit_json(tree / name / "manifest.json", lambda m: m["packages"].update(numpy="1.0"))
+    in_metrics("map", lambda m: m["ate_m"].update(rmse=m["ate_m"]["rmse"] + 0.001))(tree)
+    reported_again(tree)
+    found = found_in(tree)
+    assert (found.problems, found.not_run) == ([], [])
+    in_metrics("map", lambda m: m["ate_m"].update(rmse=m["ate_m"]["rmse"] + 0.1))(tree)
+    reported_again(tree)
+    (problem,) = found_in(tree).problems
+    assert problem.startswith("room/map:ate_m.rmse: reported 0.1")
+    capsys.readouterr()
+    with undrawn():
+        assert main(["verify", str(tree / "report"), "--quick"]) == 0
+    assert capsys.readouterr().out.startswith(
+        "made on another machine or with other packages: numpy 1.0 (here "
+    )
+
+
+def test_values_of_another_machine_agree_as_far_as_they_can():
+    assert Check("a", 0.5, 0.52, 0.05).agrees
+    assert not Check("a", 0.5, 0.52).agrees
+    assert Check("a", "54 % of 8", "53.9 % of 8", 0.0).agrees
+    assert not Check("a", "good", "bad", 9.0).agrees
+    assert not Check("a", True, False, 9.0).agrees
+    assert not Check("a", 1, None, 9.0).agrees
+
+
+def test_the_command_names_one_number_or_what_differs(tree, capsys):
+    with undrawn():
+        assert main(["verify", str(tree / "report"), "--only", "room/map:scans"]) == 0
+        assert capsys.readouterr().out.startswith("same    room/map:scans  ")
+        assert main(["verify", str(tree / "report"), "--only", "room/map:nothing"]) == 2
+        assert main(["verify", str(tree / "report"), "--quick"]) == 0
+        assert "not recomputed: room/record:scans" in capsys.readouterr().out
 
 
 def test_a_persons_file_in_the_folder_of_a_stage_is_named_once_it_changes(tmp_path):
     fake_map(tmp_path / "map", fake_record(tmp_path / "record"))
     note = tmp_path / "map/note.txt"
     note.write_text("the door was open\n")
-    with undrawn():
-        make_report([tmp_path / "record", tmp_path / "map"], Output(tmp_path / "report"), animate=False)
-    assert verify(tmp_path / "report").problems == []
+    reported_again(tmp_path, "record", "map")
+    assert found_in(tmp_path, quick=True).problems == []
     note.write_text("it was shut\n")
-    assert verify(tmp_path / "report").problems == ["room/map/note.txt: changed since the report was made"]
-
-
-@pytest.fixture
-def tree(original, tmp_path):
-    shutil.copytree(original, tmp_path / "tree")
-    # The copy must be found beside the report, not where it was made.
-    manifest = tmp_path / "tree/report/manifest.json"
-    manifest.write_text(manifest.read_text().replace(f'"path": "{original}', '"path": "/nowhere'))
-    return tmp_path / "tree"
-
-
-def edit_metrics(folder, change):
-    path = folder / "metrics.json"
-    metrics = json.loads(path.read_text())
-    change(metrics)
-    path.write_text(json.dumps(metrics, indent=2) + "\n")
-    rehash(folder, "metrics.json")
-
-
-def page_numbers(page):
-    """(key, stored value, shown text) of each number on a page."""
-    return re.findall(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<', page.read_text())
-
-
-@pytest.mark.slow
-def test_an_honest_report_verifies(tree):
-    found = verify(tree / "report", main)
-    assert found.problems == []
-    assert len(found.checks) > 40
-    assert all(check.agrees for check in found.checks)
-    assert "room/map:curious.value" in found.unchecked
-
-
-@pytest.mark.slow
-def test_every_number_on_the_page_has_a_key_that_is_checked_or_told(tree):
-    found = verify(tree / "report", main)
-    known = {check.key for check in found.checks} | set(found.unchecked)
-    keys = [key for key, _, _ in page_numbers(tree / "report/index.html")]
-    assert len(keys) > 30
-    assert set(keys) <= known
-
-
-LIES = [
-    ("map", "room/map:ate_m.rmse", lambda m: m["ate_m"].update(rmse=0.001)),
-    ("map", "room/map:ate_aligned_m.rmse", lambda m: m["ate_aligned_m"].update(rmse=0.0001)),
-    ("map", "room/map:map.iou", lambda m: m["map"].update(iou=0.99)),
-    ("run", "room/patrol:collisions.visible", lambda m: m["collisions"].update(visible=0)),
-    ("run", "room/patrol:goals.2.error_m", lambda m: m["goals"][2].update(error_m=0.01)),
-    ("run", "room/patrol:goals.1.x", lambda m: m["goals"][1].update(x=0.5)),
-    ("run", "room/patrol:success", lambda m: m.update(success=True)),
-    ("run", "room/patrol:true_success", lambda m: m.update(true_success=True)),
-    ("run", "room/patrol:goals_reached", lambda m: m["goals"][1].update(status="reached")),
-]
-
-
-@pytest.mark.slow
-def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
-    for stage, _, change in LIES:
-        edit_metrics(tree / stage, change)
-    shutil.rmtree(tree / "report")
-    with undrawn():
-        make_report([tree / "record", tree / "map", tree / "run"], Output(tree / "report"), animate=False)
-    problems = verify(tree / "report", main).problems
-    for _, key, _ in LIES:
-        assert any(problem.startswith(f"{key}: reported") for problem in problems), key
-
-
-@pytest.mark.slow
-def test_a_lie_of_the_maps_own_check_is_found_by_making_the_map_again(chain, tmp_path):
-    for name in ("record", "map", "run", "report"):
-        shutil.copytree(chain / name, tmp_path / name)
-    # Nothing is left where it was made: all is found beside the report.
-    manifest = tmp_path / "report/manifest.json"
-    manifest.write_text(manifest.read_text().replace(f'"path": "{chain}', '"path": "/nowhere'))
-    key = "room/map:self_check.revisits"
-    for file in (tmp_path / "map/metrics.json", tmp_path / "report/metrics.json"):
-        text = file.read_text()
-        file.write_text(re.sub(r'"revisits": \d+', '"revisits": 7', text))
-        assert file.read_text() != text
-        rehash(file.parent, "metrics.json")
-    found = verify(tmp_path / "report", main)
-    assert [check.key for check in found.checks if not check.agrees] == [key]
-    assert any(line.startswith(f"{key}: reported 7, ") for line in found.problems)
-    assert found.unchecked == []
-    assert not re.search(r"map\.pgm|map\.yaml|trajectory|graph", " ".join(found.notes))
-    assert key in verify(tmp_path / "report").unchecked
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "tag"), [("room/map:ate_m.max", ""), ("room/map:ate_m.rmse", "<dd ")])
-def test_a_number_changed_on_the_page_only_in_a_tile_or_elsewhere_is_named(tree, name, tag):
-    page = tree / "report/index.html"
-    key, value, text = next(item for item in page_numbers(page) if item[0] == name)
-    marked, before = f'{tag}data-key="{key}" data-value="{value}">', page.read_text()
-    page.write_text(before.replace(marked + text, marked + "0.01\u202fcm"))
-    assert page.read_text() != before
-    rehash(tree / "report", "index.html")
-    assert any(name in problem for problem in verify(tree / "report", main).problems)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("said", "lie"),
-    [
-        ("2 of 3</dd>", "3 of 3</dd>"),
-        ("0 of 1 task succeeded</h1>", "1 of 1 task succeeded</h1>"),
-        ("<dd>Heading: the angle", "<dd>Heading, not counted"),
-        ("2 of 3 goals reached (1 timeout), 1 collision.", "3 of 3 goals reached, no collision."),
-        ("2 edges; the", "3 edges; the"),
-    ],
-)
-def test_a_tile_a_verdict_and_a_caption_changed_on_the_page_are_named(tree, said, lie):
-    page = tree / "report/index.html"
-    text = page.read_text()
-    assert said in text
-    page.write_text(text.replace(said, lie, 1))
-    rehash(tree / "report", "index.html")
-    (problem,) = verify(tree / "report", main).problems
-    assert problem.startswith("index.html: says ")
-    assert re.sub("<[^>]*>", "", said) in problem.partition("; computed ")[2]
-
-
-@pytest.mark.slow
-def test_a_number_changed_in_the_reports_metrics_only_is_named(tree):
-    edit_metrics(tree / "report", lambda m: m["room"]["record"].update(distance_m=100.0))
-    problems = verify(tree / "report", main).problems
-    assert any(problem.startswith("room/record:distance_m") for problem in problems)
-
-
-@pytest.mark.slow
-def test_a_changed_data_file_is_named(tree):
-    path = tree / "map/trajectory.tum"
-    path.write_text(path.read_text().replace("0 0 0", "0 0 0 ", 1))
-    assert "room/map/trajectory.tum: does not match its manifest" in verify(tree / "report", main).problems
-
-
-@pytest.mark.slow
-def test_a_truth_that_is_not_the_bags_is_named(tree):
-    path = tree / "record/truth/trajectory.tum"
-    lines = path.read_text().splitlines()
-    stamp, x, *rest = lines[10].split()
-    lines[10] = " ".join([stamp, str(float(x) + 0.05), *rest])
-    path.write_text("\n".join(lines) + "\n")
-    assert any("/ground_truth/odom" in problem for problem in verify(tree / "report", main).problems)
-
-
-@pytest.mark.slow
-def test_a_trajectory_of_another_time_is_named(tree):
-    path = tree / "map/trajectory.tum"
-    rows = [line.split() for line in path.read_text().splitlines()]
-    path.write_text("".join(f"{float(row[0]) + 1e6:.9f} {' '.join(row[1:])}\n" for row in rows))
-    rehash(tree / "map", "trajectory.tum")
-    assert any(problem.startswith("room/map: ") for problem in verify(tree / "report", main).problems)
-
-
-@pytest.mark.slow
-def test_the_command_names_what_differs_and_exits_1(tree, capsys):
-    assert main(["verify", str(tree / "report")]) == 0
-    edit_metrics(tree / "map", lambda m: m["ate_m"].update(rmse=0.001))
-    assert main(["verify", str(tree / "report")]) == 1
-    assert "DIFFERS room/map:ate_m.rmse" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_one_number_can_be_asked_for(tree, capsys):
-    assert main(["verify", str(tree / "report"), "--only", "room/map:scans"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "same    room/map:scans  150"
-    assert main(["verify", str(tree / "report"), "--only", "room/map:nothing"]) == 2
-
-
-@pytest.mark.slow
-def test_a_folder_may_have_the_name_of_the_verb_that_made_it(tree, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    poses = ["--start=-1.5,-0.5,0", "--goal", "1.5,0.5,0"]
-    assert main(["plan", "--map", str(tree / "map"), *poses, "--out", "plan", "-q"]) == 0
-    make_report([tmp_path / "plan"], Output(tmp_path / "report"), animate=False)
-    found = verify(tmp_path / "report", main)
-    assert found.problems == []
-    assert "map/plan:length_m" in {check.key for check in found.checks}
+    problems = found_in(tmp_path, quick=True).problems
+    assert problems == ["room/map/note.txt: changed since the report was made"]
 
 
 def test_a_report_of_an_earlier_version_is_to_be_made_again(tree, capsys):
-    path = tree / "report/manifest.json"
-    manifest = json.loads(path.read_text())
-    manifest["inputs"]["rival:other/trajectory"] = {"path": "poses.tum", "sha256": {"": "0"}}
-    path.write_text(json.dumps(manifest))
+    change = {"rival:other/trajectory": {"path": "poses.tum", "sha256": {"": "0"}}}
+    edit_json(tree / "report/manifest.json", lambda m: m["inputs"].update(change))
     assert main(["verify", str(tree / "report")]) == 2
     assert capsys.readouterr().err.endswith("is a report of an earlier version; make it again\n")
 
 
-@pytest.mark.slow
 def test_what_is_no_report_is_refused(tree, tmp_path, capsys):
-    for folder in (tree / "map", tmp_path, tree / "gone"):
+    for folder in (tree / "map", Path("/"), tree / "gone"):
         assert main(["verify", str(folder)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert main(["verify", str(tree / "gone")]) == 2
     assert capsys.readouterr().err.endswith("gone: no such folder (expected a report)\n")
-
-
-def test_numbers_agree_up_to_the_rounding_of_files():
-    assert same(0.5, 0.5 + 1e-7)
-    assert not same(0.5, 0.5001)
-    assert not same(1, None)
-    assert not same(True, 2)
 
 
 def test_a_graph_is_read_in_the_order_of_its_keys(tmp_path):
@@ -268,14 +325,3 @@ def test_loops_are_read_from_their_record(tmp_path):
     (tmp_path / "graph.json").write_text('{"loops": [{"i": 5}]}')
     with pytest.raises(InputError):
         read_loops(tmp_path / "graph.json")
-
-
-@pytest.mark.slow
-def test_a_clearance_the_true_map_does_not_leave_is_named(tree):
-    log = RunLog.load(tree / "run/runlog.csv")
-    replace(log, clearance_m=np.full(len(log), 5.0)).save(tree / "run/runlog.csv")
-    rehash(tree / "run", "runlog.csv")
-    edit_metrics(tree / "run", lambda m: m.update(min_clearance_m=5.0))
-    edit_metrics(tree / "report", lambda m: m["room"]["patrol"].update(min_clearance_m=5.0))
-    problems = verify(tree / "report", main).problems
-    assert any("room/patrol:min_clearance_m: reported 5.000, but the true map" in text for text in problems)

@@ -17,7 +17,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio.inputs import Save
-from turtlebag.pipeline.studio.journal import load_session
+from turtlebag.pipeline.studio.journal import Journal, load_session
 from turtlebag.pipeline.studio.setup import StudioSetup
 
 pytestmark = pytest.mark.slow
@@ -147,6 +147,19 @@ def test_what_was_driven_before_an_error_is_kept(tmp_path, caplog):
     saved = tmp_path / "saved"
     assert main(["bag", "recover", str(tmp_path / "out.unfinished-2/bags/drive"), "--out", str(saved)]) == 0
     assert len(read_commands(saved)[0]) > 25
+
+
+@pytest.mark.parametrize("room", [250, 257, 263])
+def test_a_session_on_a_full_disk_ends_with_a_whole_line(tmp_path, room):
+    with files_below(room), pytest.raises(OSError, match="too large"):
+        press_on_and_on(tmp_path / "session.yaml")
+    assert load_session(tmp_path / "session.yaml").until_ns > 4e9
+
+
+def press_on_and_on(path):
+    journal = Journal(path, StudioSetup("empty").header())
+    for second in range(1, 100):
+        journal.tick(second * 10**9, None)
 
 
 def fill_within(out):

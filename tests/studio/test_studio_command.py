@@ -7,14 +7,15 @@ import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 import yaml
 
+from tests.helpers.full_disks import files_below
 from tests.studio.fakes import connect, run
 from tests.studio.walk import differences, files
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.studio.journal import load_session
 
 pytestmark = pytest.mark.slow
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}\n")
@@ -208,31 +209,16 @@ def test_what_cannot_be_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, ca
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_session_that_cannot_go_on_keeps_what_it_has(tmp_path, monkeypatch, capsys):
-    """The disk is full after a second, when the session file is next written to, and then has room again."""
-    written = []
-
-    class Full:
-        def __init__(self, file):
-            self._file = file
-
-        def write(self, text):
-            written.append(text)
-            if len(written) == 2:
-                raise OSError(28, "No space left on device", "somewhere")
-            return self._file.write(text)
-
-        def __getattr__(self, name):
-            return getattr(self._file, name)
-
-    def on_a_full_disk(path, *args, **options):
-        file = inner(path, *args, **options)
-        return Full(file) if path.name == ".session.yaml" else file
-
-    inner = Path.open
-    monkeypatch.setattr(Path, "open", on_a_full_disk)
-    assert main(["studio", "--no-browser", "--world", "empty", "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert told[-1] == "turtlebag: somewhere: No space left on device"
-    assert (tmp_path / "out/manifest.json").exists()
-    assert len((tmp_path / "out/runlog.csv").read_text().splitlines()) > 2
+def test_a_session_that_cannot_go_on_is_kept_beside_the_first_free_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    usual = "data/studio/empty-burger-1"
+    for name in (usual, f"{usual}-2.partial", f"{usual}-3.unfinished"):
+        (tmp_path / name).mkdir(parents=True)
+    with files_below(3_000):
+        assert main(["studio", "--world", "empty", "--no-browser"]) == 1
+    aside = f"{usual}-3.unfinished-2"
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"turtlebag: {usual}-3: File too large; what was recorded is kept in {aside} "
+        f"(`turtlebag studio --replay {aside}/session.yaml --out DIR` makes a finished output of it)"
+    )
+    assert load_session(tmp_path / aside / "session.yaml").until_ns > 2e9

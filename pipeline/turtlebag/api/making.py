@@ -1,33 +1,27 @@
-"""What all steps share: output folders, the equivalent command line, warnings and errors."""
+"""What all steps share: where an output goes and how long it lives, and the warnings of the step."""
 
 from __future__ import annotations
 
 import logging
-import os
-import re
 import shutil
 import tempfile
 import threading
 import weakref
-from argparse import Namespace
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from turtlebag.api import given
 from turtlebag.api.given import PathLike
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.output_lock import lock_output
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.outputs import Output
+from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import log, show_bars
 
 # Without a handler of its own, a library's warnings are printed.
 log.addHandler(logging.NullHandler())
 _printed = logging.StreamHandler()
-IN_PYTHON = {"set": "settings", "force": "force=True", "wiggle": "wiggle=True"}
-IN_PYTHON |= {"system": "systems", **{f"system-{what}": what for what in ("base", "times", "shift")}}
 
 
 def verbose(on: bool = True) -> None:
@@ -48,68 +42,39 @@ class TemporaryFolder:
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
-@dataclass
-class Step:
-    """A running step: its command, the objects that must live as long as its result, and its warnings so
-    far."""
+@dataclass(frozen=True)
+class Made:
+    """An output, the objects that must live as long as it does, and the warnings of its step."""
 
-    verb: str
-    out: Path
-    force: bool
-    kept: list[object] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def run(self, *inputs: PathLike, **options: Any) -> None:
-        """Run the command, as its module does; KeyboardInterrupt when one that keeps what it has was
-        interrupted."""
-        args = self.arguments(*inputs, **options)
-        if args.run(args) >= 128:
-            raise KeyboardInterrupt
-
-    def arguments(self, *inputs: PathLike, **options: Any) -> Namespace:
-        """What the command line would make of them."""
-        from turtlebag.pipeline.cli.main import build_parser
-
-        words = command_line(self.verb, *inputs, **options, out=self.out)
-        args = build_parser(self.verb).parse_args(words[1:])
-        args.force, args.command_line, args.verbosity = self.force, words, -1
-        return args
+    path: Path
+    kept: tuple[object, ...]
+    notes: tuple[str, ...]
 
 
-@contextmanager
-def step(
-    verb: str, out: PathLike | None, *, force: bool = False, inputs: Mapping[str, PathLike | None]
-) -> Iterator[Step]:
-    """Make an output within this context: at `out`, or if that is None, in a folder that lives as long as the
-    result.
+def made(
+    request: Request,
+    out: PathLike | None,
+    force: bool,
+    *used: object,
+    run: Callable[[Request, Output], int] = run,
+) -> Made:
+    """Do what is asked for, at `out`, or if that is None, in a folder that lives as long as the result, as do
+    the objects `used`.
 
-    An InputError names Python's arguments, not options of the command line. Inputs, by the names of their
-    arguments, must not change; those that are objects live as long as the result.
+    InputError for what cannot be done; KeyboardInterrupt when a step that keeps what it has was interrupted.
     """
-    read = [given.path(one, what) for what, one in inputs.items() if one is not None]
-    folder = None if out is not None else TemporaryFolder()
-    place = given.path_if(out, "out") or folder.path / verb  # type: ignore[union-attr]
-    now = Step(verb, place, force, [folder, *inputs.values()])
-    with in_python(), _heard(now.notes), lock_output(now.out, force=force, inputs=read):
-        yield now
+    folder = TemporaryFolder() if out is None else None
+    place = Path(out) if folder is None else folder.path / request.VERB  # type: ignore[arg-type]
+    with _heard() as notes, lock_output(place, force=force, inputs=request.files()):
+        if run(request, Output(place, force)) >= 128:
+            raise KeyboardInterrupt
+    return Made(place, (folder, *used), tuple(notes))
 
 
 @contextmanager
-def in_python() -> Iterator[None]:
-    """InputErrors raised within name the arguments of Python instead of the command line's options."""
-    try:
-        yield
-    except InputError as error:
-        said = re.sub(r"^\w+: argument (.*) \(see turtlebag \w+ --help\)$", r"\1", str(error))
-        option = r"(?<![\w./-])--([a-z]+(?:-[a-z]+)*)"
-        said = re.sub(option, lambda at: IN_PYTHON.get(at[1], at[1].replace("-", "_")), said)
-        raise InputError(said) from error.__cause__
-
-
-@contextmanager
-def _heard(notes: list[str]) -> Iterator[None]:
-    """Collect this thread's warnings in the list meanwhile."""
-    me = threading.get_ident()
+def _heard() -> Iterator[list[str]]:
+    """This thread's warnings meanwhile."""
+    me, notes = threading.get_ident(), []
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -119,27 +84,6 @@ def _heard(notes: list[str]) -> Iterator[None]:
     listener = Listener(logging.WARNING)
     log.addHandler(listener)
     try:
-        yield
+        yield notes
     finally:
         log.removeHandler(listener)
-
-
-def command_line(verb: str, *inputs: PathLike, **options: Any) -> list[str]:
-    """The equivalent command, for the manifest; options that are None or False are left out."""
-    named = [os.fspath(one) for one in inputs]
-    words = ["turtlebag", verb, *(f"./{path}" if path.startswith("-") else path for path in named)]
-    for name, value in options.items():
-        option = f"--{name.replace('_', '-')}"
-        for one in value if isinstance(value, (list, tuple)) else [value]:
-            if one is True:
-                words.append(option)
-            elif one is not None and one is not False:
-                text = _option_text(one)
-                words += [f"{option}={text}"] if text.startswith("-") else [option, text]
-    return words
-
-
-def _option_text(value: Any) -> str:
-    if isinstance(value, SE2):
-        return given.pose_text(value)
-    return os.fspath(value) if isinstance(value, os.PathLike) else str(value)

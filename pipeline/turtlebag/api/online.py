@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
-from turtlebag.api.making import in_python
 from turtlebag.api.outputs import as_map
 from turtlebag.api.tables import Trajectory
 from turtlebag.datasets import types
@@ -32,7 +33,7 @@ class _Listener:
         if laser is not None:
             self.T_base_lidar = given.pose(laser, "laser")
         else:
-            self.T_base_lidar = load_robot(given.text(robot, "robot")).T_base_lidar
+            self.T_base_lidar = load_robot(os.fspath(robot)).T_base_lidar
         self.scan: Scan | None = None
         self.odometry: SE2 | types.Trajectory | None = None
         self.observed_ns: int | None = None
@@ -46,8 +47,7 @@ class _Listener:
         return checked, moved
 
     def observed(self, observation: Observation) -> None:
-        """InputError unless it is an observation, later than the last one."""
-        given.require_kind(observation, Observation, "observation")
+        """InputError unless it is later than the last one."""
         if self.observed_ns is not None and observation.stamp_ns <= self.observed_ns:
             raise InputError(f"observation: stamp {observation.stamp_ns} is not after the previous one")
         self.observed_ns = observation.stamp_ns
@@ -72,12 +72,10 @@ class Mapper:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or setting."""
-        with in_python():
-            self._heard = _Listener(robot, laser)
-            slam = load_config(
-                SlamConfig, given.path_if(config, "config"), given.settings(settings, front_end=front_end)
-            )
-            self._online = OnlineMap(self._heard.T_base_lidar, slam)
+        self._heard = _Listener(robot, laser)
+        chosen = {**(settings or {}), **({} if front_end is None else {"front_end": front_end})}
+        slam = load_config(SlamConfig, None if config is None else Path(config), chosen)
+        self._online = OnlineMap(self._heard.T_base_lidar, slam)
 
     def __len__(self) -> int:
         return 0 if self._online.mapper is None else len(self._online.mapper)
@@ -86,8 +84,7 @@ class Mapper:
         """Take in what the simulator's robot sensed; the pose (3,) where that brought a scan, else None."""
         self._heard.observed(observation)
         before = len(self)
-        with in_python():
-            self._online.observe(observation)
+        self._online.observe(observation)
         return self.pose if len(self) > before else None
 
     def add(
@@ -101,8 +98,7 @@ class Mapper:
         non-finite numbers and changing kinds; the scan is then not used.
         """
         samples = given.imu(imu)
-        with in_python():
-            self._online.add(*self._heard.heard(scan, odometry), samples)
+        self._online.add(*self._heard.heard(scan, odometry), samples)
         return self.pose
 
     @property
@@ -127,13 +123,11 @@ class Mapper:
 
     def map(self) -> OccupancyGrid:
         """The current map: `cells` (rows, columns) int8, `resolution` [m], `T_map_grid`."""
-        with in_python():
-            return self._mapper.map()
+        return self._mapper.map()
 
     def finish(self) -> tuple[Trajectory, OccupancyGrid]:
         """Poses and map as `map` makes them from all scans; it takes as long."""
-        with in_python():
-            trajectory, grid = self._mapper.finish()
+        trajectory, grid = self._mapper.finish()
         return Trajectory.of(trajectory), grid
 
     @property
@@ -163,14 +157,13 @@ class Localiser:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or setting, or an unreadable map."""
-        told = given.initial_pose(initial_pose, "global")
-        if told is None:
-            raise InputError("initial_pose: give x, y, yaw or global")
-        with in_python():
-            self._heard = _Listener(robot, laser)
-            self._config = load_localise_config(given.path_if(config, "config"), given.settings(settings))
-            self._grid = map if isinstance(map, OccupancyGrid) else as_map(map).occupancy
-        self._told, self._rng = told, stream(given.seed(seed), "amcl")
+        self._told: SE2 | str = "global"
+        if not isinstance(initial_pose, str) or initial_pose != "global":
+            self._told = given.pose(initial_pose, "initial_pose")
+        self._heard = _Listener(robot, laser)
+        self._config = load_localise_config(None if config is None else Path(config), settings or {})
+        self._grid = map if isinstance(map, OccupancyGrid) else as_map(map).occupancy
+        self._rng = stream(seed, "amcl")
         self._buffer = OdometryBuffer()
         self._localiser: AnyLocaliser | None = None
         self._T_odom_base = SE2.identity()
@@ -226,12 +219,11 @@ class Localiser:
         return self._localiser is None or self._localiser.lost
 
     def _update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None) -> Array:
-        with in_python():
-            if self._localiser is None:
-                self._localiser = started(
-                    self._grid, scan.lidar, self._heard.T_base_lidar, self._told, self._config, self._rng
-                )
-            self._localiser.update(scan, T_odom_base, T_odom_base_end)
+        if self._localiser is None:
+            self._localiser = started(
+                self._grid, scan.lidar, self._heard.T_base_lidar, self._told, self._config, self._rng
+            )
+        self._localiser.update(scan, T_odom_base, T_odom_base_end)
         self._T_odom_base = T_odom_base
         return self.pose
 

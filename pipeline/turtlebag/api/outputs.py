@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.api import given
 from turtlebag.api.given import PathLike
-from turtlebag.api.making import Step, TemporaryFolder
+from turtlebag.api.making import Made, TemporaryFolder
 from turtlebag.api.tables import Table, Trajectory
 from turtlebag.datasets import types
 from turtlebag.datasets.bags.reader import bag_info
@@ -39,7 +39,7 @@ class Output:
     _kept: tuple[object, ...] = ()
 
     def __init__(self, path: PathLike) -> None:
-        self.path = given.path(path, "path")
+        self.path = Path(path)
         """Its folder or file."""
         self.stage: Stage | None = self._load()
         """Its manifest, configuration and files; None unless it is an output of ours."""
@@ -51,11 +51,11 @@ class Output:
         return f"{type(self).__name__}({'' if self._temporary else self.path}): {self.verdict}"
 
     @classmethod
-    def of(cls: type[Self], step: Step) -> Self:
+    def of(cls: type[Self], made: Made) -> Self:
         """The result of a step."""
-        made = cls(step.out)
-        made.notes, made._kept = tuple(step.notes), tuple(step.kept)
-        return made
+        output = cls(made.path)
+        output.notes, output._kept = made.notes, made.kept
+        return output
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -266,9 +266,9 @@ class Map(Output):
 
 def robot_for(map: Map, robot: PathLike | None) -> str:
     """The robot to plan for: the one that made the map, and the burger where that is not known."""
-    return given.text(map.robot or "burger" if robot is None else robot, "robot")
+    return os.fspath(map.robot or "burger" if robot is None else robot)
 
 
 def as_map(map: PathLike) -> Map:
     """A map from whatever was passed as one."""
-    return map if isinstance(map, Map) else Map(given.path(map, "map"))
+    return map if isinstance(map, Map) else Map(map)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
-from turtlebag.api.making import in_python
 from turtlebag.api.outputs import as_map, robot_for
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.stages.plan import PlanStageConfig, Query, planner_settings, search
+from turtlebag.pipeline.stages.requests.options import class_name
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.planners.costmap import costmap_from_grid
 from turtlebag.planners.planner import NoPath
@@ -35,13 +36,11 @@ class Planner:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or planner, or an unreadable map."""
-        by = given.planner(planner)
-        with in_python():
-            words = [*given.settings(settings), *planner_settings(by)]
-            self._config = load_config(PlanStageConfig, given.path_if(config, "config"), words)
-            self._map, self._seed = as_map(map), given.seed(seed)
-            self._robot = load_robot(robot_for(self._map, robot))
-            self._costmap = costmap_from_grid(self._map.occupancy, self._config.costmap)
+        chosen = {**(settings or {}), **planner_settings(class_name(planner))}
+        self._config = load_config(PlanStageConfig, None if config is None else Path(config), chosen)
+        self._map, self._seed = as_map(map), seed
+        self._robot = load_robot(robot_for(self._map, robot))
+        self._costmap = costmap_from_grid(self._map.occupancy, self._config.costmap)
 
     def plan(self, start: Pose, goal: Pose) -> Array:
         """Poses (n, 3) of x, y [m], yaw [rad] from start to goal in the map's frame.
@@ -50,9 +49,8 @@ class Planner:
         obstacle.
         """
         query = Query(self._robot, given.pose(start, "start"), given.pose(goal, "goal"), self._seed)
-        with in_python():
-            query.require_free(self._costmap, self._map.yaml)
-            found, reason, _ = search(self._costmap, query, self._config)
+        query.require_free(self._costmap, self._map.yaml)
+        found, reason, _ = search(self._costmap, query, self._config)
         if found is None:
             raise NoPath(reason)
         return found.poses.xyt

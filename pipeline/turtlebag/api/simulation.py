@@ -7,17 +7,18 @@ from typing import Any
 
 from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
-from turtlebag.api.making import in_python
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.stages.record import RecordOptions, Scene
-from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.record import scene_of
+from turtlebag.pipeline.stages.requests.drives import RecordRequest
 from turtlebag.sim import simulator
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Truth
 from turtlebag.sim.world import World
 
-SPEED = "a finite speed in m/s or rad/s"
+FASTEST = 1e6
+"""Speed that no robot has [m/s, rad/s]."""
 
 
 class Simulator:
@@ -38,14 +39,12 @@ class Simulator:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """`start` is the true pose in the world (default: its spawn). InputError for unknown names."""
-        with in_python():
-            sim = load_config(RecordOptions, given.path_if(config, "config"), given.settings(settings)).sim
-            T_start = None if start is None else given.pose(start, "start")
-            by = None if robot is None else given.text(robot, "robot")
-            name = given.text(given.part(world), "world")
-            self._scene = scene = Scene.load(name, by, given.seed(seed), sim, T_start)
-            self._simulator = simulator.Simulator(scene.world, scene.robot, scene.sim, scene.seed)
-            self.reset()
+        asked = RecordRequest.checked(
+            world=world, robot=robot, seed=seed, start=start, config=config, settings=settings or {}
+        )
+        self._scene = scene = scene_of(asked)
+        self._simulator = simulator.Simulator(scene.world, scene.robot, scene.sim, scene.seed)
+        self.reset()
 
     def __enter__(self) -> Simulator:
         return self
@@ -88,20 +87,21 @@ class Simulator:
 
     def reseed(self, seed: int) -> None:
         """Use another seed from the next reset on."""
-        self._simulator.seed = given.seed(seed)
+        self._simulator.seed = seed
 
     def reset(self, start: Pose | None = None) -> Observation:
         """Start again, at another true pose if given; InputError if it is in an obstacle."""
-        with in_python():
-            T_start = self._scene.start if start is None else given.pose(start, "start")
-            self._observation = self._simulator.reset(T_start)
+        T_start = self._scene.start if start is None else given.pose(start, "start")
+        self._observation = self._simulator.reset(T_start)
         return self._observation
 
     def step(self, v: float = 0.0, w: float = 0.0) -> Observation:
         """Drive for 1/30 s at v [m/s] forward and w [rad/s] to the left, as far as the motors can follow.
         InputError unless both are finite numbers."""
-        command = Twist(*(given.number(one, what, SPEED, -1e6, 1e6) for one, what in ((v, "v"), (w, "w"))))
-        self._observation = self._simulator.step(command)
+        for what, speed in (("v", v), ("w", w)):
+            if not abs(speed) < FASTEST:
+                raise InputError(f"{what}: expected a finite speed in m/s or rad/s, not {speed}")
+        self._observation = self._simulator.step(Twist(float(v), float(w)))
         return self._observation
 
     def __repr__(self) -> str:

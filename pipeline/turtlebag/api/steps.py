@@ -8,16 +8,24 @@ names, as `--config` and `--set` do: `{"loops.match": "open3d"}`. For a part of 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
 from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
-from turtlebag.api.making import TemporaryFolder, step
-from turtlebag.api.other_systems import Systems, system_options
+from turtlebag.api.making import TemporaryFolder, made
+from turtlebag.api.other_systems import Systems, fields_of
 from turtlebag.api.outputs import Bag, Map, as_map, robot_for
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
-from turtlebag.api.tasks import Avoid, Explore, Patrol, Task, keepout_option, task_options
+from turtlebag.api.tasks import Task, keepout_field, task_fields
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import Output
+from turtlebag.pipeline.stages.compare import compare_as_asked
+from turtlebag.pipeline.stages.requests.drives import NavigateRequest, RecordRequest
+from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
+from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
+from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.reports.system_comparison import SystemComparison
 
 Settings = Mapping[str, Any]
@@ -42,17 +50,16 @@ def record(
     stuck, the recording is kept, and its `notes` say so. InputError for unknown names and a start in an
     obstacle.
     """
-    told = {
-        "world": given.text(given.part(world), "world"),
-        "robot": None if robot is None else given.text(robot, "robot"),
-        "teleop": given.text(teleop, "teleop"),
-        "seed": given.seed(seed),
-        "start": None if start is None else given.pose(start, "start"),
-    }
-    words = given.settings(settings)
-    with step("record", out, force=force, inputs={"teleop": teleop, "config": config}) as now:
-        now.run(**told, config=config, set=words)
-        return Bag.of(now)
+    asked = RecordRequest.checked(
+        world=world,
+        robot=robot,
+        teleop=teleop,
+        seed=seed,
+        start=start,
+        config=config,
+        settings=settings or {},
+    )
+    return Bag.of(made(asked, out, force, teleop))
 
 
 def map(
@@ -80,16 +87,22 @@ def map(
     same place, `continued` an earlier map that the recording is added to. `laser` and `upside_down` override
     the laser's pose on the robot. InputError for what cannot be mapped.
     """
-    words, placed = given.settings(settings, front_end=front_end), given.laser(laser, upside_down)
-    heard = None if topic is None else given.text(topic, "topic", "a name")
-    later = {f"also {number}": one for number, one in enumerate(given.items(also, "also"), start=1)}
-    files = {"truth": truth, "relations": relations, "config": config, "edits": edits}
-    told: dict[str, Any] = {**files, "also": [*later.values()], "continue": continued}
-    told |= {"topic": heard, "set": words, "explain": explain, "laser": placed}
-    inputs = {"source": source, **files, **later, "continued": continued}
-    with step("map", out, force=force, inputs=inputs) as now:
-        now.run(given.path(source, "source"), **told)
-        return Map.of(now)
+    if upside_down and laser is None:
+        raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
+    asked = MapRequest.checked(
+        source=source,
+        truth=truth,
+        relations=relations,
+        also=also,
+        continued=continued,
+        laser=None if laser is None else (*given.pose(laser, "laser").xyt.tolist(), upside_down),
+        topic=topic,
+        edits=edits,
+        config=config,
+        settings={**(settings or {}), **({} if front_end is None else {"front_end": front_end})},
+        explain=explain,
+    )
+    return Map.of(made(asked, out, force, source, truth, *also, continued))
 
 
 def localise(
@@ -112,18 +125,19 @@ def localise(
     is rejected. `truth` is a recording; it only adds error metrics. InputError for a recording without
     odometry or a map without walls.
     """
-    told = {
-        "map": as_map(map).yaml,
-        "initial_pose": given.initial_pose(initial_pose, "global"),
-        "laser": given.laser(laser, upside_down),
-        "truth": truth,
-        "seed": given.seed(seed),
-    }
-    words = given.settings(settings)
-    inputs = {"source": source, "map": map, "truth": truth, "config": config}
-    with step("localise", out, force=force, inputs=inputs) as now:
-        now.run(given.path(source, "source"), **told, config=config, set=words)
-        return Localisation.of(now)
+    if upside_down and laser is None:
+        raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
+    asked = LocaliseRequest.checked(
+        source=source,
+        map=map,
+        initial_pose=initial_pose,
+        laser=None if laser is None else (*given.pose(laser, "laser").xyt.tolist(), upside_down),
+        truth=truth,
+        seed=seed,
+        config=config,
+        settings=settings or {},
+    )
+    return Localisation.of(made(asked, out, force, source, map, truth))
 
 
 def plan(
@@ -146,20 +160,18 @@ def plan(
     a class; `compare` runs all of OMPL's. If there is no path, `success` is False and the verdict gives the
     reason. InputError for a start or goal off the map or in an obstacle.
     """
-    on = as_map(map)
-    told = {
-        "map": on.yaml,
-        "robot": robot_for(on, robot),
-        "start": given.pose(start, "start"),
-        "goal": given.pose(goal, "goal"),
-        "planner": given.planner(planner),
-        "compare": compare,
-        "seed": given.seed(seed),
-    }
-    words = given.settings(settings)
-    with step("plan", out, force=force, inputs={"map": map, "config": config}) as now:
-        now.run(**told, config=config, set=words)
-        return Plan.of(now)
+    asked = PlanRequest.checked(
+        map=map,
+        robot=robot_for(as_map(map), robot),
+        start=start,
+        goal=goal,
+        planner=planner,
+        compare=compare,
+        seed=seed,
+        config=config,
+        settings=settings or {},
+    )
+    return Plan.of(made(asked, out, force, map))
 
 
 def report(
@@ -177,16 +189,11 @@ def report(
     output, and for systems that cannot be compared with it. `turtlebag verify` needs the outputs themselves:
     give them an `out` to keep them.
     """
-    from turtlebag.pipeline.cli.report import make
-
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
-    shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
-    words, known, files = system_options(systems)
-    with step("report", out, force=force, inputs={**shown, **files}) as now:
-        paths = [given.path(one, what) for what, one in shown.items()]
-        make(now.arguments(*paths, system=words, **known, no_animation=not animate, paper=paper))
-        return Report.of(now)
+    files, rest = fields_of(systems)
+    asked = ReportRequest.checked(folders=outputs, system=files, **rest, animate=animate, paper=paper)
+    return Report.of(made(asked, out, force, *outputs))
 
 
 def compare(
@@ -202,17 +209,20 @@ def compare(
     `systems` are files or `System`s by the systems' names, instead of `other`. InputError for outputs of two
     kinds, and for systems that cannot be read or compared.
     """
-    from turtlebag.pipeline.cli.compare import make
-
-    words, known, files = system_options(systems)
+    files, rest = fields_of(systems)
     if (other is None) == (not files):
         raise InputError("compare: give another output, or other systems by their names")
-    path, read = given.path(output, "output"), {"output": output, "other": other, **files}
-    with step("compare", out, force=force, inputs=read) as now:
-        found = make(now.arguments(path, *(words if other is None else [other]), **known))
+    asked = CompareRequest.checked(a=output, b=files if other is None else [("", other)], **rest)
+    notes: list[str] = []
+
+    def compared(request: Request, place: Output) -> int:
+        found = compare_as_asked(asked, place)
         if isinstance(found, SystemComparison):
-            now.notes += [f"{name}: {note}" for name, note in found.notes]
-        return Comparison.of(now)
+            notes.extend(f"{name}: {note}" for name, note in found.notes)
+        return 0
+
+    done = made(asked, out, force, output, other, run=compared)
+    return Comparison.of(replace(done, notes=(*done.notes, *notes)))
 
 
 def navigate(
@@ -242,34 +252,23 @@ def navigate(
     the world's). A failed task is a result, too: see `success` and `goals`. InputError for a bad goal, map
     or name.
     """
-    words, name = given.settings(settings), given.part(task)
-    inputs = {"map": map, "teleop_override": teleop_override, "config": config}
-    with step("navigate", out, force=force, inputs=inputs) as now:
-        on, files = None if map is None else as_map(map), TemporaryFolder()
-        now.kept.append(files)
-        told = task_options(name, files.path)
-        if on is None and isinstance(task, Patrol):
-            raise InputError("map: a patrol needs one; give the map to drive on")
-        if isinstance(task, Avoid | Explore) and (on is not None or wiggle or keepout is not None):
-            raise InputError(f"{told['task']}: takes no map, wiggle or keepout; leave them out")
-        scene = given.part(world) if world is not None or on is None else on.world
-        if scene is None:
-            raise InputError("world: give the world to drive in; the map does not say where it was made")
-        by = robot if robot is not None or on is None else on.robot
-        now.run(
-            world=given.text(scene, "world"),
-            robot=None if by is None else given.text(by, "robot"),
-            task=told.pop("task"),
-            map=None if on is None else on.yaml,
-            start=None if start is None else given.pose(start, "start"),
-            initial_pose=None if on is None else given.initial_pose(initial_pose, "start", "global"),
-            seed=given.seed(seed),
-            **told,
-            wiggle=wiggle,
-            # the command line's word for the keys of the terminal is a file's name here, as any other
-            teleop_override="./keyboard" if teleop_override == "keyboard" else teleop_override,
-            keepout=keepout_option(keepout, files.path),
-            config=config,
-            set=words,
-        )
-        return Run.of(now)
+    on, files = None if map is None else as_map(map), TemporaryFolder()
+    scene = world if world is not None or on is None else on.world
+    if scene is None:
+        raise InputError("world: give the world to drive in; the map does not say where it was made")
+    asked = NavigateRequest.checked(
+        world=scene,
+        robot=robot if robot is not None or on is None else on.robot,
+        seed=seed,
+        start=start,
+        map=None if on is None else on.yaml,
+        initial_pose=None if on is None else initial_pose,
+        **task_fields(task, files.path),
+        wiggle=wiggle,
+        # the command line's words are files' names here, as any others
+        teleop_override=None if teleop_override is None else Path(teleop_override).absolute(),
+        keepout=keepout_field(keepout, files.path),
+        config=config,
+        settings=settings or {},
+    )
+    return Run.of(made(asked, out, force, map, files))

@@ -11,10 +11,8 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 
-from turtlebag.api import given
 from turtlebag.api.given import PathLike
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.tasks.waypoints import parse_polygons
 
@@ -29,9 +27,8 @@ class Goal:
     timeout: float | None = None
     """Simulated seconds; None: 600."""
 
-    def _options(self, folder: Path) -> dict[str, Any]:
-        goal = given.pose((self.x, self.y, self.yaw), "goal")
-        return {"task": "goal", "goal": goal, "timeout": _seconds(self.timeout, "timeout")}
+    def _fields(self, folder: Path) -> dict[str, Any]:
+        return {"task": "goal", "goal": (self.x, self.y, self.yaw), "timeout": self.timeout}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,18 +43,14 @@ class Patrol:
     laps: int | None = None
     timeout: float | None = None
 
-    def _options(self, folder: Path) -> dict[str, Any]:
-        if self.laps is not None and (not isinstance(self.laps, int) or self.laps < 1):
-            raise InputError(f"laps: expected a whole number, 1 or more, not {self.laps!r}")
-        waypoints, timeout = self.waypoints, _seconds(self.timeout, "timeout")
-        if isinstance(waypoints, str | os.PathLike):
-            waypoints = given.path(waypoints, "waypoints")
-        elif waypoints is not None:
-            poses = [_numbers(one, "waypoints") for one in given.items(waypoints, "waypoints")]
+    def _fields(self, folder: Path) -> dict[str, Any]:
+        waypoints = self.waypoints
+        if waypoints is not None and not isinstance(waypoints, str | os.PathLike):
+            poses = [_numbers(one) for one in waypoints]
             if not poses:
                 raise InputError("waypoints: is empty; give one or more poses")
             waypoints = _written(poses, folder / "waypoints.yaml")
-        return {"task": "patrol", "waypoints": waypoints, "laps": self.laps, "timeout": timeout}
+        return {"task": "patrol", "waypoints": waypoints, "laps": self.laps, "timeout": self.timeout}
 
 
 @dataclass(frozen=True)
@@ -68,8 +61,8 @@ class Avoid:
     duration: float | None = None
     mode: Literal["guarded", "tutorial"] | None = None
 
-    def _options(self, folder: Path) -> dict[str, Any]:
-        return {"task": "avoid", "duration": _seconds(self.duration, "duration"), "mode": self.mode}
+    def _fields(self, folder: Path) -> dict[str, Any]:
+        return {"task": "avoid", "duration": self.duration, "mode": self.mode}
 
 
 @dataclass(frozen=True)
@@ -78,45 +71,32 @@ class Explore:
 
     duration: float | None = None
 
-    def _options(self, folder: Path) -> dict[str, Any]:
-        return {"task": "explore", "duration": _seconds(self.duration, "duration")}
+    def _fields(self, folder: Path) -> dict[str, Any]:
+        return {"task": "explore", "duration": self.duration}
 
 
 Task = Goal | Patrol | Avoid | Explore
 
 
-def task_options(task: Task | str, folder: Path) -> dict[str, Any]:
-    """The task and its own options; what was given as arrays is written to files in the folder."""
-    if isinstance(task, Task):
-        return task._options(folder)
-    if isinstance(task, str) and is_own(task):
-        return {"task": task}
-    shown = given.in_a_line(task)
-    raise InputError(f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {shown}")
+def task_fields(task: Task | type, folder: Path) -> dict[str, Any]:
+    """The task and its own fields of a request; what was given as arrays is written to files in the
+    folder."""
+    return task._fields(folder) if isinstance(task, Task) else {"task": task}
 
 
-def keepout_option(areas: PathLike | Sequence[Any] | None, folder: Path) -> str | None:
+def keepout_field(areas: PathLike | Sequence[Any] | None, folder: Path) -> Path | str | None:
     """The file of keep-out areas, or the word none."""
     if areas is None or isinstance(areas, str | os.PathLike):
-        return None if areas is None else given.text(areas, "keepout", "a path")
-    listed = [given.items(outline, "keepout") for outline in given.items(areas, "keepout")]
-    outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in listed]
+        return None if areas is None else Path(areas)
+    outlines = [[_numbers(corner) for corner in outline] for outline in areas]
     parse_polygons(outlines, "keepout")
-    return os.fspath(_written({"keepout": outlines}, folder / "keepout.yaml")) if outlines else "none"
+    return _written({"keepout": outlines}, folder / "keepout.yaml") if outlines else "none"
 
 
-def _seconds(value: float | None, what: str) -> float | None:
-    return None if value is None else given.number(value, what, "a positive number of seconds", 0.0)
-
-
-def _numbers(one: Any, what: str) -> Any:
+def _numbers(one: Any) -> Any:
     """What YAML can hold of a pose or a corner."""
-    if isinstance(one, SE2):
-        one = one.xyt
-    try:
-        return one if isinstance(one, dict) else np.asarray(one, dtype=np.float64).tolist()
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{what}: expected numbers, not {given.in_a_line(one)}") from None
+    given = one.xyt if isinstance(one, SE2) else one
+    return given if isinstance(given, dict) else np.asarray(given, dtype=np.float64).tolist()
 
 
 def _written(content: Any, path: Path) -> Path:

@@ -1,16 +1,18 @@
-"""The parser of a command: its options, those that several commands share, and errors of one line."""
+"""Parsers of the command line whose errors are one line."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, NoReturn
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import map_file, seed
+from turtlebag.datasets.number_text import decimal, whole
 
 RENAMED = {
     "--takeover": "--teleop-override",
@@ -28,26 +30,35 @@ REMOVED: dict[str, str] = {
 """What to use in place of verbs and options that are gone; an option as `verb --option`."""
 
 
-class OrOwn(tuple[str, ...]):
-    """Choices of an option that also accepts a user's class, module:Class."""
-
-    def __contains__(self, name: object) -> bool:
-        """Whether it is one of the choices, or could be such a class."""
-        from turtlebag.datasets.parts import is_own  # NumPy, which --help does without
-
-        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
+def refuse_former(verb: str | None) -> None:
+    """InputError for a verb of former versions: what to use in its place."""
+    if verb in RENAMED:
+        raise InputError(f"{verb} is now called {RENAMED[verb]}")
+    if verb in REMOVED:
+        raise InputError(f"{verb} is gone; {REMOVED[verb]}")
 
 
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and exit code 2; it takes no abbreviated options, whose
     meaning would change with the next option that begins alike."""
 
+    later: Callable[[Parser], None] | None = None
+    """Adds options when they are needed, because that imports what they are generated from."""
+
     def __init__(self, **more: Any) -> None:
         super().__init__(allow_abbrev=False, **more)
+
+    def ready(self) -> Parser:
+        """Itself, with all its options."""
+        later, self.later = self.later, None
+        if later is not None:
+            later(self)
+        return self
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """As argparse's, except that the parser that a word is meant for reports what is unknown: first
         options, which may be a required one misspelt, and it can suggest some."""
+        self.ready()
         last = self._subparsers is None
         for word in takewhile(lambda word: word != "--" and (last or word.startswith("-")), args):
             if word.startswith("--") and word.partition("=")[0] not in self._option_string_actions:
@@ -100,28 +111,6 @@ class Parser(argparse.ArgumentParser):
         text = "override one setting; may be repeated"
         self.option("--set", "KEY=VALUE", text, dest="settings", action="append", default=[])
 
-    def add_world(self, seed_value: int) -> None:
-        """What is simulated: --world, --robot, --seed and --start."""
-        text = "world: a name, a YAML or SDF file, or your own class (module:Class)"
-        self.option("--world", "W", text, required=True)
-        self.option("--robot", "R", "robot: a name or a YAML file (default: the world's own)")
-        self.add_seed(seed_value)
-        self.option("--start", "X,Y,YAW", "true start pose (default: the world's spawn)")
-
-    def add_seed(self, value: int) -> None:
-        """--seed."""
-        self.option("--seed", "N", f"random seed (default: {value})", seed, default=value)
-
-    def add_map(self, purpose: str, *, required: bool = True) -> None:
-        """--map."""
-        text = f"map to {purpose} on: its YAML file, or a folder that map wrote"
-        self.option("--map", "MAP", text, map_file, required=required)
-
-    def add_laser(self, source: str) -> None:
-        """--laser, which overrides the laser's pose in the argument `source`."""
-        text = f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}"
-        self.option("--laser", "X,Y,YAW[,upside-down]", text)
-
 
 def add_action(actions: Any, name: str, text: str, example: str) -> Parser:
     """A verb, or an action of one; its help ends with an example of one line, for copying."""
@@ -133,3 +122,59 @@ def add_action(actions: Any, name: str, text: str, example: str) -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     return parser
+
+
+def joined(argv: Sequence[str]) -> list[str]:
+    """`--goal -2,0,0` as `--goal=-2,0,0`, because argparse would take the value for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1].startswith("--") and re.match(r"-(\d|\.|inf|nan)[^,]*,", word):
+            words[-1] += "=" + word
+        else:
+            words.append(word)
+    return words
+
+
+def seed(text: str) -> int:
+    """A seed: a non-negative integer."""
+    return _whole(text, 0)
+
+
+def count(text: str) -> int:
+    """A number of things, 1 or more."""
+    return _whole(text, 1)
+
+
+def positive(text: str) -> float:
+    """A number of more than 0, and neither endless nor so small that what is divided by it is."""
+    value = _number(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
+    if not 0.001 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"must be 0.001 to 1000000, not {text}")
+    return value
+
+
+def seconds(text: str) -> float:
+    """A finite number, 0 or more."""
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a number of seconds, 0 or more, not {text}")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return decimal(text)
+    except ValueError:
+        return math.nan
+
+
+def _whole(text: str, least: int) -> int:
+    try:
+        value = whole(text)
+    except ValueError:
+        value = -1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"must be a whole number, {least} or more, not {text}")
+    return value

@@ -1,0 +1,32 @@
+"""What `turtlebag compare` prints."""
+
+from __future__ import annotations
+
+from turtlebag.datasets.plurals import counted
+from turtlebag.pipeline.terminal.messages import print_table, say
+from turtlebag.reports.compare import Comparison
+from turtlebag.reports.system_comparison import SystemComparison
+
+
+def print_comparison(found: Comparison | SystemComparison) -> None:
+    """The differences as a table."""
+    if isinstance(found, SystemComparison):
+        _print_systems(found)
+    else:
+        _print_outputs(found)
+
+
+def _print_outputs(found: Comparison) -> None:
+    for key, one, other in found.settings:
+        say(f"{key}: {one} -> {other}")
+    rows = [(row.label, row.a, row.b, row.difference, row.relative) for row in found.rows]
+    print_table([("", "A", "B", "B - A", ""), *rows] if rows else [])
+    say(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
+
+
+def _print_systems(found: SystemComparison) -> None:
+    for name, note in found.notes:
+        say(f"{name}: {note}")
+    texts = [(row.spec.label, *row.texts, row.spec.evo) for row in found.rows]
+    print_table([("", *found.names, "evo"), *texts], left=(0, -1))
+    say(found.sentence)

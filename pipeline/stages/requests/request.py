@@ -1,0 +1,94 @@
+"""What a stage is asked for: every option, said once.
+
+A request is what the command line's options are generated from (`command_line`), what `import turtlebag`
+and campaigns make, what a manifest records, and what `verify` runs again (`stages.run`).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from pydantic import ValidationError, field_validator
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.yaml_files import plain_message, read_mapping
+from turtlebag.pipeline.stages.requests.options import class_name
+
+Place = Callable[[str | Path], str | Path]
+
+
+class Request(Settings):
+    """What one stage is asked for: nothing of where its output goes, or how it is called."""
+
+    VERB: ClassVar[str]
+    EXAMPLE: ClassVar[str]
+
+    @classmethod
+    def checked(cls, **given: Any) -> Self:
+        """The request of these fields; InputError names the first that is wrong, in one line."""
+        try:
+            return cls.model_validate(given)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise InputError(f"{where}: {plain_message(first)}") from None
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _from_python(cls, value: Any) -> Any:
+        """Of a class its name, of what is path-like its path."""
+        if isinstance(value, os.PathLike):
+            return Path(value)
+        if isinstance(value, list | tuple):
+            return [cls._from_python(one) for one in value]
+        return class_name(value)
+
+    def recorded(self) -> dict[str, Any]:
+        """What a manifest says of it: every field, and in place of a settings file what that said."""
+        fields = dict(self)
+        if isinstance(fields.get("config"), Path):
+            fields["config"] = read_mapping(fields["config"])
+        whole = type(self).model_construct(**fields)
+        return {"verb": self.VERB, **_finite(whole.model_dump(mode="json"))}
+
+    def files(self) -> list[Path]:
+        """The existing files and folders that it names: what the stage may read.
+
+        A word may be the name of something built in; only a file of that name is meant as a file.
+        """
+        named = [value for value in dict(self).values() if isinstance(value, str) and os.path.isfile(value)]
+        return [path for path in (*_paths(dict(self)), *map(Path, named)) if os.path.exists(path)]
+
+    def moved(self, place: Place) -> Self:
+        """The same request with other paths, and other names of what may be a file."""
+        return type(self).model_validate({name: _moved(value, place) for name, value in dict(self).items()})
+
+
+def _paths(value: Any) -> Iterator[Path]:
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, tuple | dict):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _paths(one)
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no numbers that are not finite: their names, which settings take as well."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_finite(one) for one in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _moved(value: Any, place: Place) -> Any:
+    if isinstance(value, str | Path):
+        return place(value)
+    if isinstance(value, dict):
+        return {key: _moved(one, place) for key, one in value.items()}
+    return tuple(_moved(one, place) for one in value) if isinstance(value, tuple) else value

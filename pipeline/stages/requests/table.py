@@ -1,0 +1,24 @@
+"""All requests, by what they are called on the command line."""
+
+from __future__ import annotations
+
+from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest, ReplayRequest
+from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
+from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
+from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
+from turtlebag.pipeline.stages.requests.request import Request
+
+KINDS: tuple[type[Request], ...] = (
+    RecordRequest,
+    KeyboardRequest,
+    MapRequest,
+    LocaliseRequest,
+    PlanRequest,
+    NavigateRequest,
+    ReportRequest,
+    CompareRequest,
+    ConvertRequest,
+    RecoverRequest,
+    ReplayRequest,
+)
+REQUESTS = {kind.VERB: kind for kind in KINDS}
