@@ -48,8 +48,7 @@ class MapRequest(Request):
         ),
     ] = None
     relations: Annotated[
-        Path | None,
-        file("FILE", "relations file of a benchmark: adds error metrics", "intel.relations"),
+        Path | None, file("FILE", "relations file of a benchmark: adds error metrics", "intel.relations")
     ] = None
     also: Annotated[
         tuple[Path, ...],
@@ -76,8 +75,7 @@ class MapRequest(Request):
     ] = None
     name: Annotated[str | None, Option("NAME", "also save the map as NAME.pgm and NAME.yaml", "hall")] = None
     edits: Annotated[
-        Path | None,
-        file("FILE", "YAML file of loop closures to reject or to add", "edits.yaml"),
+        Path | None, file("FILE", "YAML file of loop closures to reject or to add", "edits.yaml")
     ] = None
     config: ConfigFile = None
     settings: Overrides = Field({})
