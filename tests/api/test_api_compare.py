@@ -78,8 +78,10 @@ def test_a_report_shows_them_and_verify_measures_them_again(tree, tmp_path):
             tree / "record", tree / "a", systems=systems, animate=False, out=tmp_path / "report"
         )
         assert made_by_its_command(report, tmp_path)
-        assert verify(tmp_path / "report").problems == []
+        found = verify(tmp_path / "report", quick=True)
     assert set(report.metrics["room"]["systems"]["systems"]) == {"TurtleBag", "early", "other"}
+    assert (found.problems, found.not_run) == ([], [])
+    assert "room/systems:systems.early.ate_m.rmse" in {check.key for check in found.checks}
 
 
 WRONG = {

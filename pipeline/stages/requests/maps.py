@@ -17,6 +17,7 @@ from turtlebag.pipeline.stages.requests.options import (
     MapFile,
     Name,
     Option,
+    OrOwn,
     Overrides,
     Pose,
     Seed,
@@ -131,7 +132,7 @@ class PlanRequest(Request):
             f"OMPL planner: {', '.join(PLANNERS)} (default: BITstar for a disc, else RRTConnect), "
             "or your own class (module:Class)",
             "RRTstar",
-            choices=PLANNERS,
+            choices=OrOwn(PLANNERS),
         ),
     ] = None
     compare: Annotated[bool, flag("run every planner and compare the paths")] = False
