@@ -57,8 +57,15 @@ class GlobalSearch:
     """Likelihood of poses with the paths of the beams, and draws from it over the free space of a map."""
 
     def __init__(
-        self, grid: OccupancyGrid, field: DistanceField, config: AmclConfig, range_max: float
+        self,
+        grid: OccupancyGrid,
+        field: DistanceField,
+        config: AmclConfig,
+        range_max: float,
+        candidates: int = CANDIDATES,
     ) -> None:
+        """`candidates` are the poses that a search draws over the free space."""
+        self._candidates = candidates
         self.field = field
         self.range_max = range_max
         self._grid, self._free = grid, np.argwhere(grid.cells == FREE)
@@ -102,7 +109,7 @@ class GlobalSearch:
         """`count` poses, (count, 3), probable by this scan alone: anywhere, or `around` a pose (3,).
         `without` excludes poses (n, 3); if it excludes all, none are drawn."""
         if around is None:
-            poses = self.uniform(CANDIDATES, rng)
+            poses = self.uniform(self._candidates, rng)
         else:
             poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * AROUND
         for shake in SHAKES:

@@ -34,11 +34,6 @@ def tree(tmp_path_factory):
     return base
 
 
-def test_what_was_compared_lives_as_long_as_the_comparison(tree):
-    bag = tb.Bag(tree / "record")
-    assert bag in tb.compare(bag, tree / "record")._kept
-
-
 def made_by_its_command(found, tmp_path):
     """Whether the command that stands in its manifest leaves the same bytes."""
     words = json.loads((found.path / "manifest.json").read_text())["command"]

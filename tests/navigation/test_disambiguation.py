@@ -78,7 +78,8 @@ def world(*, cupboard=True):
 
 def aliasing_of(grid, searched=GlobalSearch):
     config = AmclConfig()
-    search = searched(grid, distance_field(grid, 2.0), config, STILL_LIDAR.range_max)
+    # as many per square metre of these rooms as of a house
+    search = searched(grid, distance_field(grid, 2.0), config, STILL_LIDAR.range_max, candidates=5000)
     return Aliasing(search, np.random.default_rng(1))
 
 
