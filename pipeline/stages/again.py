@@ -147,7 +147,8 @@ def command_differs(manifest: Manifest) -> str | None:
         return f"the command in its manifest is of {typed.VERB}"
     for name, value in typed:
         asked = getattr(request, name)
-        read_then = name in ("config", "settings") and getattr(typed, "config", None) is not None
+        files = (getattr(one, "config", None) for one in (typed, request))
+        read_then = name in ("config", "settings") and any(files)  # what it said stands in the request
         in_folder = name == "map" and isinstance(value, Path) and value / "map.yaml" == asked
         if value != asked and not read_then and not in_folder:
             return f"the command in its manifest has another {name} than its request: {value} and {asked}"
