@@ -1,24 +1,23 @@
 """Locks an output, so that one process at a time writes it.
 
-An output grows in `OUT.partial`, a folder with a marker file that is locked: flock on the folder itself
-survives the rename, and ends with the process that holds it. The command's inputs must lie elsewhere, and
-must not change while it runs.
+An output grows in `OUT.partial`, which holds a marker file that is locked: the lock survives the renaming of
+the folder, and ends with the process that holds it. The command's inputs must lie elsewhere, and must not
+change while it runs.
 """
 
 from __future__ import annotations
 
 import fcntl
+import glob
 import itertools
 import logging
 import os
-import re
 import secrets
 import shutil
 import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NoReturn
 
 from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.files import JUNK, Signature, require_same, signatures
@@ -54,10 +53,10 @@ class OutputLock:
         # An unfinished recording may be the input: then its folder is not ours to grow in, but locked too.
         usual = out.with_name(f"{out.name}.partial")
         read = usual.is_dir() and any(identity(usual) in lineage(path) for path in inputs)
-        self._reading = _locked(usual, out) if read else None
+        self._reading = _locked(usual / MARKER, out) if read and (usual / MARKER).exists() else None
         self.partial = out.with_name(f"{out.name}.recovering") if read else usual
         self._made_parents = [parent for parent in self.partial.parents if not parent.exists()]
-        self._folder = self._acquired()
+        self._mark = self._acquired()
         try:
             require_free(out, force=force)  # another process may have been quicker
             require_untouched(out)
@@ -88,7 +87,14 @@ class OutputLock:
             yield self.partial
         except Exception as error:
             refused = isinstance(error, InputError) and not isinstance(error, Unfinished)
-            self._fail(error, None if refused or not save_bag else self._rescued())
+            kept = self._rescued() if save_bag and not refused else None
+            if kept and isinstance(error, OSError):
+                raise Unfinished(f"{error.filename or self.out}: {error.strerror or error}; {kept}") from None
+            if kept and isinstance(error, Unfinished):
+                raise Unfinished(f"{error}; {kept}", error.code) from None
+            if kept:
+                log.warning(kept)
+            raise
         finally:
             with suppress(OSError):
                 self._clear()
@@ -98,7 +104,7 @@ class OutputLock:
         """Set aside a bag or a session that a killed process left."""
         if self._worth_saving():
             log.warning("what an unfinished command left is now in %s", _way_out(self._set_aside()))
-            before, self._folder = self._folder, self._acquired()
+            before, self._mark = self._mark, self._acquired()
             _close(before)
 
     def finish(self, file: Path | None = None) -> None:
@@ -120,12 +126,13 @@ class OutputLock:
                 (self.partial / MARKER).unlink()
             said = error if isinstance(error, InputError) else f"{self.out}: {error.strerror}"
             raise InputError(f"{said}; the result is kept in {file or self.partial}") from None
-        for path in _left_over(self.place, old):
-            try:
+        try:
+            for path in _left_over(self.place, old):
                 _empty(path, but=MANIFEST)  # last: what a kill leaves is known again
                 shutil.rmtree(path)
-            except OSError as error:
-                log.warning("%s: what was replaced cannot be removed (%s)", path, error.strerror)
+        except OSError as error:
+            if old is not None:
+                log.warning("%s: what was replaced cannot be removed (%s)", old, error.strerror)
 
     def release(self) -> None:
         """Release the lock, and remove the folder if nothing is in it that a killed process left."""
@@ -134,7 +141,7 @@ class OutputLock:
                 self._clear()
                 shutil.rmtree(self.partial)
         self._remove_parents()
-        _close(self._folder)
+        _close(self._mark)
         _close(self._reading)
 
     def _remove_parents(self) -> None:
@@ -143,22 +150,25 @@ class OutputLock:
                 parent.rmdir()
 
     def _acquired(self) -> int:
-        """Descriptor of `partial`, which is ours alone now: a new one, or what a killed process left."""
-        folder = None
+        """Descriptor of the mark in `partial`, ours alone now: a new one, or what a killed process left."""
+        mark, opened = self.partial / MARKER, None
         try:
-            while folder is None or not _is_same(folder, self.partial):  # else it was finished in this moment
-                _close(folder)
-                with suppress(FileExistsError):  # what is no folder cannot be locked
-                    self.partial.mkdir(parents=True, exist_ok=True)
-                folder = _locked(self.partial, self.out)
-            if not (self.partial / MARKER).is_file():
-                _mark(self.partial)
-            return folder
-        except (InputError, OSError) as error:
-            _close(folder)
+            while opened is None or not _is_same(opened, mark):  # else it was finished in this moment
+                _close(opened)
+                self.partial.mkdir(parents=True, exist_ok=True)
+                if self.partial.is_symlink() or (_content(self.partial) and not mark.exists()):
+                    raise FileExistsError
+                opened = _locked(mark, self.out)
+            return opened
+        except FileExistsError:
+            raise InputError(
+                f"{self.partial}: is in the way and is not an unfinished output of turtlebag; "
+                "move it or choose another --out"
+            ) from None
+        except OSError as error:
+            with suppress(OSError):
+                self.partial.rmdir()
             self._remove_parents()
-            if isinstance(error, InputError):
-                raise
             raise InputError(f"{self.partial}: cannot be created ({error.strerror})") from None
 
     def _clear(self) -> None:
@@ -167,20 +177,7 @@ class OutputLock:
             _empty(self.partial, but=MARKER)
 
     def _is_ours(self) -> bool:
-        return not self._kept and _is_same(self._folder, self.partial)
-
-    def _fail(self, error: Exception, kept: str | None) -> NoReturn:
-        """Raise the error in one line, if it is the system's, with what is kept of a recording."""
-        text = str(error)
-        if isinstance(error, OSError) and error.errno is not None:
-            text = f"{error.filename or self.out}: {error.strerror}"
-        if kept and (text != str(error) or isinstance(error, Unfinished)):
-            raise Unfinished(f"{text}; {kept}", getattr(error, "code", 1)) from None
-        if kept:
-            log.warning(kept)
-        if text != str(error):
-            raise InputError(text) from None
-        raise error
+        return not self._kept and _is_same(self._mark, self.partial / MARKER)
 
     def _rescued(self) -> str | None:
         """Set aside a bag or a session that has grown, and say where it is; None where there is none."""
@@ -273,53 +270,35 @@ def _way_out(aside: Path) -> str:
     return f"{aside} (`turtlebag {how} --out DIR` makes a finished output of it)"
 
 
-def _locked(folder: Path, out: Path) -> int | None:
-    """Descriptor of a locked folder; None if it is gone.
+def _locked(mark: Path, out: Path) -> int | None:
+    """Descriptor of a mark, which is locked; None if its folder is gone.
 
-    InputError when another process has the lock, or what is there is no folder.
+    InputError when another process has the lock.
     """
     opened = None
     try:
-        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        opened = os.open(mark, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return None
-    except OSError as error:
+    except BlockingIOError:
         _close(opened)
-        said = f"{folder}: cannot be locked ({error.strerror})"
-        if isinstance(error, NotADirectoryError):
-            said = f"{folder}: is in the way and is not a folder; move it or choose another --out"
-        elif isinstance(error, BlockingIOError):
-            said = f"{out}: another process is writing it (in {folder}); wait for it or choose another --out"
-        raise InputError(said) from None
+        raise InputError(
+            f"{out}: another process is writing it (in {mark.parent}); wait for it or choose another --out"
+        ) from None
     return opened
 
 
-def _mark(folder: Path) -> None:
-    """Mark an empty folder as ours; InputError for any other."""
-    if _content(folder):
-        raise InputError(
-            f"{folder}: is in the way and is not an unfinished output of turtlebag; "
-            "move it or choose another --out"
-        )
-    try:
-        with (folder / MARKER).open("x") as file:
-            file.write("turtlebag: this output is unfinished; the same command starts it over\n")
-    except OSError:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-
-
-def _close(folder: int | None) -> None:
+def _close(mark: int | None) -> None:
     """Close a descriptor, and with it give up its lock."""
-    if folder is not None:
+    if mark is not None:
         with suppress(OSError):  # given up before, by a process that was told to end while it did so
-            os.close(folder)
+            os.close(mark)
 
 
-def _is_same(folder: int, path: Path) -> bool:
-    """Whether a descriptor is still that of the folder at a path."""
-    status = os.fstat(folder)
+def _is_same(opened: int, path: Path) -> bool:
+    """Whether a descriptor is still that of the file at a path."""
+    status = os.fstat(opened)
     return (status.st_dev, status.st_ino) == identity(path)
 
 
@@ -327,12 +306,13 @@ def _content(folder: Path) -> list[Path]:
     return [path for path in folder.iterdir() if path.name not in (MARKER, *JUNK)]
 
 
-def _left_over(place: Path, old: Path | None) -> list[Path]:
+def _left_over(place: Path, old: Path | None) -> Iterator[Path]:
     """What was replaced, now and by processes that were killed before they removed it."""
-    earlier = re.compile(re.escape(place.name) + r"\.old-[0-9a-f]{8}")
-    found = [path for path in place.parent.iterdir() if earlier.fullmatch(path.name) and path != old]
-    ours = [path for path in found if path.is_dir() and not path.is_symlink() and not any(strangers(path))]
-    return ours if old is None else [old, *ours]
+    if old is not None:
+        yield old
+    for path in place.parent.glob(f"{glob.escape(place.name)}.old-{'[0-9a-f]' * 8}"):
+        if path.is_dir() and not path.is_symlink() and not any(strangers(path)):
+            yield path
 
 
 def _empty(folder: Path, *, but: str) -> None:

@@ -15,13 +15,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import Signature, signatures
-from turtlebag.datasets.plurals import one
 
 _OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
@@ -131,13 +129,6 @@ def _from_here(file: Path) -> Path:
 
 def _label(part: type) -> str:
     return f"{part.__module__}:{part.__qualname__}"
-
-
-def told_kind(value: object) -> str:
-    """What a value is, in a few words."""
-    if isinstance(value, np.ndarray):
-        return f"an array of shape {value.shape}"
-    return "None" if value is None else one(type(value).__name__)
 
 
 def _imported(module: str, name: str) -> Any:

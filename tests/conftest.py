@@ -71,16 +71,3 @@ def true_map(tmp_path_factory):
 
     grid = load_world("turtlebot3_world").rasterize(load_robot("burger").lidar_height)
     return save_map(grid, tmp_path_factory.mktemp("true"), "arena")
-
-
-@pytest.fixture
-def no_workers(monkeypatch):
-    """Campaigns whose cases all end at once with the same numbers."""
-    import turtlebag.pipeline.campaign.sweep
-
-    def rows(campaign, todo, where, run, scratch, **options):
-        for case in todo:
-            values = dict.fromkeys(campaign.results, 0.5)
-            yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}, 0.1
-
-    monkeypatch.setattr(turtlebag.pipeline.campaign.sweep, "run_cases", rows)

@@ -59,17 +59,6 @@ def replaced_inside(source: str) -> list[int]:
     return sorted(found)
 
 
-ALLOWED: dict[str, int] = {
-    "conftest.py": 1,
-    # the other rooms
-    "cli/test_config.py": 1,
-    "cli/test_limits.py": 1,
-    "stages/test_sweep.py": 4,
-    "stages/test_sweep_statistics.py": 1,
-}  # fmt: skip
-"""Of files from before the rule: fewer every time, until this table goes."""
-
-
 @pytest.mark.parametrize(
     ("source", "lines"),
     [
@@ -94,5 +83,4 @@ def test_tests_replace_nothing_inside():
         for path in sorted(TESTS.rglob("*.py"))
         if "setattr" in path.read_text() or "item(" in path.read_text()
     }
-    more = {path: lines for path, lines in inside.items() if len(lines) > ALLOWED.get(path, 0)}
-    assert not more
+    assert {path: lines for path, lines in inside.items() if lines} == {}

@@ -43,12 +43,12 @@ def _of_pattern(pattern: str) -> dict[str, str]:
         return {pattern: ""}
     bags: dict[str, str] = {}
     for name, info in entries.items():
-        bags |= _below(files, name) if info["type"] == "directory" else {name: _version(info)}
+        bags |= bags_below(files, name) if info["type"] == "directory" else {name: _version(info)}
     return {name if is_local(files) else files.unstrip_protocol(name): made for name, made in bags.items()}
 
 
-def _below(files: Any, folder: str) -> dict[str, str]:
-    """The bags in a folder."""
+def bags_below(files: Any, folder: str) -> dict[str, str]:
+    """The bags in a folder of a file system of fsspec, and what changes when they do; "" is its top."""
     inside: Mapping[str, Any] = files.find(folder, detail=True)
     wholes = {_parent(path) for path in inside if path.rpartition("/")[2] == METADATA_FILE}
     wholes = {_parent(path) if path.endswith("/bag") else path for path in wholes}

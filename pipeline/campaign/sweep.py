@@ -178,7 +178,7 @@ def _run(
         log.info(f"resuming: {len(rows)} of {len(todo)} cases are done")
     if left:
         found, told = start(_interleaved(left, campaign)), False
-        for row, wall_s in track(_told(found, len(left)), campaign.name, total=len(left)):
+        for row, wall_s in track(with_time_left(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row
             if wall_s is not None:
                 timing[row["case"]] = wall_s
@@ -193,8 +193,9 @@ def _run(
     return [rows[case.name] for case in todo], dict(sorted(timing.items()))
 
 
-def _told(found: Iterable[Done], total: int) -> Iterator[Done]:
-    """What is found; where no progress bar is seen, a line a minute says how far it is."""
+def with_time_left(found: Iterable[Done], total: int) -> Iterator[Done]:
+    """The cases as they are done; where no progress bar is seen, a line a minute tells how long the rest of
+    all `total` takes."""
     watch, told_s = Stopwatch(), 0.0
     for done, item in enumerate(found, start=1):
         yield item

@@ -122,12 +122,12 @@ def _done(args: argparse.Namespace) -> int:
     1, even for an error that we would say in a line, or where it asks Python to exit."""
     try:
         return int(args.run(args))
-    except InputError:
-        raise
     except (Exception, SystemExit) as error:
+        # Where an output grows, the system's error has become a line by now.
+        origin = error.__context__ if isinstance(error, InputError) else error
         parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
-        if parts and (place := parts.place_of(error)):
-            raise RuntimeError(place) from error
+        if parts and (origin is error or isinstance(origin, OSError)) and (place := parts.place_of(origin)):
+            raise RuntimeError(place) from origin
         raise
 
 

@@ -7,7 +7,6 @@ from types import UnionType
 
 import numpy as np
 
-from turtlebag.datasets.parts import told_kind
 from turtlebag.datasets.plurals import one
 from turtlebag.datasets.types import Twist
 
@@ -25,7 +24,7 @@ def broken(part: object, text: str) -> AssertionError:
 def require_answer(part: object, method: str, answer: object, kind: type, **attributes: Asked) -> None:
     """AssertionError unless a method returned a `kind` with these attributes."""
     if not isinstance(answer, kind):
-        raise broken(part, f"{method}: must return {one(kind.__name__)}, not {told_kind(answer)}")
+        raise broken(part, f"{method}: must return {one(kind.__name__)}, not {_kind_of(answer)}")
     require_attributes(part, method, answer, **attributes)
 
 
@@ -40,14 +39,21 @@ def require_value(part: object, what: str, value: object, asked: Asked) -> None:
     if not isinstance(asked, tuple):
         if not isinstance(value, asked):
             kind = asked.__args__[0] if isinstance(asked, UnionType) else asked
-            raise broken(part, f"{what} must be {one(kind.__name__)}, not {told_kind(value)}")
+            raise broken(part, f"{what} must be {one(kind.__name__)}, not {_kind_of(value)}")
         return
     numbers = np.asarray(value) if isinstance(value, np.ndarray | np.number | float | int) else None
     if numbers is None or numbers.shape != asked or numbers.dtype.kind not in "fiu":
         shape = f"an array of shape {asked}" if asked else "a number"
-        raise broken(part, f"{what} must be {shape}, not {told_kind(value)}")
+        raise broken(part, f"{what} must be {shape}, not {_kind_of(value)}")
     if not np.isfinite(numbers).all():
         raise broken(part, f"{what} is not finite")
+
+
+def _kind_of(value: object) -> str:
+    """What a value is, in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    return "None" if value is None else one(type(value).__name__)
 
 
 def require_twist(part: object, method: str, command: object) -> None:

@@ -14,7 +14,6 @@ from pydantic.fields import FieldInfo
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.yaml_files import parsed, plain_message
 from turtlebag.pipeline.stages.parser import Parser, joined, refuse_former
 from turtlebag.pipeline.stages.requests.options import Laser, Option, flag_of
@@ -24,14 +23,6 @@ from turtlebag.pipeline.stages.requests.table import REQUESTS
 Asked = TypeVar("Asked", bound=Request)
 
 
-class OrOwn(tuple[str, ...]):
-    """Choices of an option that also accepts a user's class, module:Class."""
-
-    def __contains__(self, name: object) -> bool:
-        """Whether it is one of the choices, or could be such a class."""
-        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
-
-
 def add_request(parser: Parser, kind: type[Request]) -> None:
     """An option for each field of a request; what is not given is not in the namespace."""
     for name, field in kind.model_fields.items():
@@ -39,10 +30,7 @@ def add_request(parser: Parser, kind: type[Request]) -> None:
 
 
 def _add_field(parser: Parser, name: str, field: FieldInfo, option: Option) -> None:
-    words: dict[str, Any] = {
-        "help": f"{option.text}{_unit(option)}{_default(field)}",
-        "default": argparse.SUPPRESS,
-    }
+    words: dict[str, Any] = {"help": said_of(field), "default": argparse.SUPPRESS}
     if not option.positional:
         words |= {"dest": name, "required": field.is_required()}
     if field.annotation is bool:
@@ -50,9 +38,7 @@ def _add_field(parser: Parser, name: str, field: FieldInfo, option: Option) -> N
         parser.add_argument(_flag(name, option), action=action, **{**words, "required": False})
         return
     words |= {"type": option.read} | ({"metavar": option.value} if option.value else {})
-    if option.choices:
-        own = "module:Class" in option.text
-        words |= {"choices": OrOwn(option.choices) if own else option.choices}
+    words |= {"choices": option.choices} if option.choices else {}
     if _repeated(field):
         words |= {"nargs": "+"} if option.positional else {"action": "append"}
     parser.add_argument(name if option.positional else _flag(name, option), **words)
@@ -76,15 +62,12 @@ def _repeated(field: FieldInfo) -> bool:
     return get_origin(field.annotation) is dict or ... in get_args(field.annotation)
 
 
-def _unit(option: Option) -> str:
-    return f" [{option.unit}]" if option.unit else ""
-
-
-def _default(field: FieldInfo) -> str:
-    value = field.default
-    return (
-        f" (default: {value})" if isinstance(value, str | int | float) and not isinstance(value, bool) else ""
-    )
+def said_of(field: FieldInfo) -> str:
+    """What a field is, in what unit, and its default, in a line."""
+    option, value = option_of(field), field.default
+    unit = f" [{option.unit}]" if option.unit else ""
+    told = isinstance(value, str | int | float) and not isinstance(value, bool)
+    return f"{option.text}{unit}" + (f" (default: {value})" if told else "")
 
 
 def request_of(kind: type[Asked], args: argparse.Namespace) -> Asked:

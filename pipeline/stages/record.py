@@ -146,10 +146,12 @@ def record_drive(
     *,
     inputs: Mapping[str, Path] | None = None,
     watch: Callable[[Observation], None] | None = None,
+    longest_s: float = LONGEST_S,
 ) -> int:
     """Record what a driver does (sim.teleop_scripts: a generator of commands that is sent the truth).
 
-    `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
+    `teleop` names it in config.yaml; `watch` is shown every observation. A drive of `longest_s` of simulated
+    time is ended as one that got stuck. Exit code as of `record`.
     """
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
@@ -162,7 +164,8 @@ def record_drive(
             BagWriter(folder / "bag", custom=custom) as bag,
             simulated_time() as clock,
         ):
-            truth, duration, stuck = _drive(simulator, scene.start, driver, bag, watch, clock, interrupted)
+            bounded = _bounded(driver, longest_s)
+            truth, duration, stuck = _drive(simulator, scene.start, bounded, bag, watch, clock, interrupted)
         require_no_hangup(interrupted)
         save_truth(folder / "truth", truth, scene.world, scene.robot)
         wall = out.wall_s
@@ -183,6 +186,19 @@ def record_drive(
     if stuck:
         log.error("the drive ended early: %s", stuck)
     return 128 + interrupted[0] if interrupted else int(stuck is not None)
+
+
+def _bounded(driver: Generator[Twist, Truth, None], longest_s: float) -> Generator[Twist, Truth, None]:
+    """The driver, which is Stuck once it has driven for so long."""
+    command = next(driver)
+    while True:
+        now = yield command
+        if seconds(now.stamp_ns) >= longest_s:
+            raise Stuck(f"no more than {longest_s:g} s are simulated")
+        try:
+            command = driver.send(now)
+        except StopIteration:
+            return
 
 
 def _drive(
@@ -213,9 +229,6 @@ def _drive(
         now = simulator.truth
         bag.truth(now.stamp_ns, now.T_world_base, now.twist)
         if interrupted:
-            break
-        if seconds(now.stamp_ns) >= LONGEST_S:
-            stuck = f"no more than {LONGEST_S:g} s are simulated"
             break
         try:
             command = driver.send(now)

@@ -205,11 +205,11 @@ def _check_stage(
         named = ("metrics.json",) if len(found.problems) > before else ()
         if exact:
             _compare_files(name, stage.manifest, again.manifest, found, but=named)
-        said, is_so = (read_json(one / "manifest.json") for one in (stage.folder, out))
+        facts, is_so = (read_json(one / "manifest.json") for one in (stage.folder, out))
         found.problems += [
-            f"{name}: its manifest says {key} {said.get(key)}; run again, it is {is_so.get(key)}"
+            f"{name}: its manifest says {key} {facts.get(key)}; run again, it is {is_so.get(key)}"
             for key in FACTS
-            if said.get(key) != is_so.get(key)
+            if facts.get(key) != is_so.get(key)
         ]
 
 

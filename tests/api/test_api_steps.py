@@ -2,6 +2,7 @@
 
 import ast
 import gc
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -56,7 +57,8 @@ def test_the_names_for_type_checkers_are_those_that_are_loaded():
     tree = ast.parse(Path(tb.__file__).read_text())
     (block,) = (node for node in tree.body if isinstance(node, ast.If))
     typed = {alias.name: node.module for node in block.body for alias in node.names}
-    assert typed == tb._HOME
+    for name, module in typed.items():
+        assert getattr(tb, name) is getattr(importlib.import_module(module), name)
     assert sorted(typed) == sorted(tb.__all__)
 
 
@@ -121,14 +123,20 @@ def test_what_is_shown_is_well_formed_with_a_picture(made, tmp_path):
 def test_files_live_as_long_as_what_needs_them_and_stay_where_asked(chain, tmp_path):
     bag = tb.record(chain / "room.yaml", teleop=chain / "short.yaml", seed=4)
     kept = tb.map(bag, out=tmp_path / "kept", settings={"loops.enabled": False})
+    with unrendered():
+        compared = tb.compare(bag, chain / "record")
+    with pytest.raises(tb.InputError, match="already exists"):
+        tb.map(bag, out=kept.path)
     place = bag.path
     del bag
     gc.collect()
     assert place.is_dir()
     assert kept.robot == "burger"
-    with pytest.raises(tb.InputError, match="already exists"):
-        tb.map(kept._kept[1], out=kept.path)
     del kept
+    gc.collect()
+    assert place.is_dir()
+    assert compared.path.is_dir()
+    del compared
     gc.collect()
     assert not place.exists()
     assert tb.Map(tmp_path / "kept").metrics["loops"]["proposed"] == 0

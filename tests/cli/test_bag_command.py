@@ -28,17 +28,6 @@ def test_info_prints_each_topic_with_count_and_rate(drive, capsys):
     assert lines["seed"] == ["seed", "7"]
 
 
-def test_info_loads_nothing_that_it_does_not_need(drive):
-    program = (
-        "import sys; from turtlebag.pipeline.cli.main import main; main(sys.argv[1:]); "
-        "slow = {'rich', 'numba', 'turtlebag.datasets.outputs', 'importlib.metadata'}; "
-        "print(sorted(slow & set(sys.modules)))"
-    )
-    command = [sys.executable, "-c", program, "bag", "info", str(drive)]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert said.splitlines()[-1] == "[]"
-
-
 def test_recover_makes_a_whole_bag_of_an_unfinished_one(drive, tmp_path, capsys):
     partial = tmp_path / "rec.partial" / "bag"
     partial.mkdir(parents=True)

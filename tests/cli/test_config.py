@@ -11,7 +11,6 @@ from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.slam.slam import SlamConfig
-from turtlebag.pipeline.stages.parser import REMOVED
 from turtlebag.pipeline.stages.settings import load_config
 
 
@@ -139,52 +138,6 @@ def test_a_removed_key_is_left_out_with_a_note_whatever_it_holds(tmp_path, caplo
     assert load_config(Former2, settings=["former.braille=true"]) == Former2()
     with pytest.raises(InputError, match=r"--set: former.brail: unknown key \(known: steps\)"):
         load_config(Former2, settings=["former.braille=true", "former.brail=true"])
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            "navigate --world empty --task avoid --takeover keyboard",
-            "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)",
-        ),
-        (
-            "report data/maps/a --rival other.tum",
-            "report: --rival is now called --system (see turtlebag report --help)",
-        ),
-        (
-            "compare data/maps/a other.tum --rival-shift 1",
-            "compare: --rival-shift is now called --system-shift (see turtlebag compare --help)",
-        ),
-        (
-            "navigate --world empty --task avoid --takeover=mine.yaml",
-            "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)",
-        ),
-    ],
-)
-def test_a_former_command_or_option_names_the_present_one(tmp_path, capsys, words, said):
-    assert main([*words.split(), "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err == f"turtlebag: {said}\n"
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            "ablate data/records/world --replace odometry",
-            "ablate is gone; give map or navigate a part that knows the truth, e.g. "
-            "--set front_end=turtlebag.testing:TrueFrontEnd",
-        ),
-        (
-            "teleop --world empty --ascii=1",
-            "teleop: --ascii is gone; use studio (see turtlebag teleop --help)",
-        ),
-    ],
-)
-def test_a_removed_command_or_option_says_what_to_use(monkeypatch, tmp_path, capsys, words, said):
-    monkeypatch.setitem(REMOVED, "teleop --ascii", "use studio")
-    assert main([*words.split(), "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err == f"turtlebag: {said}\n"
 
 
 def test_resolved_configuration_reads_back(tmp_path):

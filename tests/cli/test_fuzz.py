@@ -28,7 +28,7 @@ TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "truth p
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
+def test_broken_inputs_end_with_exit_0_1_or_2(chain, case):
     found = [attempt(case, CASES[case], chain, seed) for seed in range(TRIES.get(case, 12))]
     assert not any(found), "\n".join(filter(None, found))
 
@@ -51,7 +51,7 @@ def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
         "session to drive again",
     ],
 )
-def test_what_is_not_broken_is_accepted(chain, no_workers, tmp_path, case):
+def test_what_is_not_broken_is_accepted(chain, tmp_path, case):
     """Else the variants above might all be refused for something that nobody broke."""
     (tmp_path / "in").mkdir()
     words = with_output(CASES[case](Unbroken(1), chain, tmp_path / "in"), tmp_path)

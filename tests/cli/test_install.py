@@ -19,26 +19,23 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli import doctor
-from turtlebag.pipeline.setup.install import put_on_path
+from turtlebag.pipeline.setup.install import install, put_on_path
 
 ROOT = Path(__file__).parents[2]
-# What pip 23 said of a mirror where nobody listens, and of one that breaks off.
-REFUSED = """\
-WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError('refused')': /six/
-ERROR: Could not find a version that satisfies the requirement six==1.17.0 (from versions: none)
-ERROR: No matching distribution found for six==1.17.0
+# What pip said of a mirror where nobody listens, and uv of one, and of a package that there is not.
+NO_UV = """\
+WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError('refused')': /simple/uv/
+ERROR: Could not find a version that satisfies the requirement uv (from versions: none)
+ERROR: No matching distribution found for uv
 """
-NO_RETRIES = REFUSED.partition("\n")[2]
-BROKEN_OFF = """\
-ERROR: Exception:
-Traceback (most recent call last):
-  File "pip/_internal/cli/base_command.py", line 180, in exc_logging_wrapper
-pip._vendor.urllib3.exceptions.ReadTimeoutError: HTTPSConnectionPool(host='x', port=443): Read timed out.
+REFUSED = """\
+Using Python 3.11.7 environment at: .venv
+error: Request failed after 3 retries
+  cause: Failed to fetch: https://mirror.example/simple/six/
 """
 NO_WHEEL = """\
-ERROR: Ignored the following versions that require a different python version: 1.0 Requires-Python >=3.99
-ERROR: Could not find a version that satisfies the requirement six==1.17.0 (from versions: 1.16.0)
-ERROR: No matching distribution found for six==1.17.0
+error: No solution found when resolving dependencies
+  cause: Because there is no version of six==1.17.0 and you require six==1.17.0, ...
 """
 # Python and, as .venv/bin/python, the one of the environment; `-I` runs the installer or looks for damage.
 STAND_IN = """\
@@ -49,13 +46,14 @@ case "$*" in
   "-I pipeline/setup/install.py "*) exec {python} -I -c "import runpy, sys
 sys.executable, sys.argv = '$0', sys.argv[1:]
 runpy.run_path(sys.argv[0], run_name='__main__')" "${{@:2}}";;
-  "-m pip config get"*) echo https://who:secret@mirror.example/simple;;
+  "-m pip config list"*) echo "global.index-url='https://who:secret@mirror.example/simple'";;
   "-m venv "*) mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; touch "$3/pyvenv.cfg"
     printf '#!/bin/bash\necho "$*" >> {calls}\n[ ! -e {sick} ]' > "$3/bin/turtlebag"
     chmod +x "$3/bin/turtlebag";;
-  "-I -c "*) ls "$here" | grep -x damaged;;
-  *"pip install"*) echo "pip install" >> {calls}
-    [ -e "$here/half" ] && echo "ERROR: half a package is in the way" && exit 1
+  "-m pip install"*" uv>="*) cp "$0" "$here/bin/uv"
+    [ -e {nouv} ] && cat {nouv} && exit 1;;
+  "pip install "*" -r "*) echo "uv from $UV_DEFAULT_INDEX" >> {calls}
+    [ -e "$here/half" ] && echo "error: half a package is in the way" && exit 1
     case "$(cat {todo} 2>/dev/null)" in
       "") ;;
       hang) touch "$here/half"; echo started >> {calls}; sleep 30;;
@@ -74,19 +72,22 @@ class Machine:
     def __init__(self, folder):
         self.folder, self.todo, self.calls = folder / "project", folder / "todo", folder / "calls"
         self.sick, self.python = folder / "sick", folder / "python3"
+        self.nouv = folder / "nouv"
         for name in SOURCES:
             (self.folder / name).mkdir(parents=True)
         for name in ("Makefile", "requirements.lock", "pyproject.toml", "pipeline/setup/install.py"):
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, self.folder / name)
-        text = STAND_IN.format(todo=self.todo, calls=self.calls, sick=self.sick, python=sys.executable)
+        text = STAND_IN.format(
+            todo=self.todo, calls=self.calls, sick=self.sick, nouv=self.nouv, python=sys.executable
+        )
         self.python.write_text(text)
         self.python.chmod(0o755)
         self.calls.touch()
 
     def start(self):
         # Neither the make that runs the tests nor this machine's mirror may show through.
-        hidden = ("MAKE", "MFLAGS", "PIP_")
+        hidden = ("MAKE", "MFLAGS", "PIP_", "UV_")
         environment = {name: value for name, value in os.environ.items() if not name.startswith(hidden)}
         return subprocess.Popen(
             ["make", "setup", f"PYTHON={self.python}"],
@@ -147,8 +148,21 @@ def test_a_set_up_that_was_killed_is_made_anew_by_the_same_make(machine):
     assert not (machine.folder / ".venv/half").exists()
 
 
+def test_a_set_up_that_was_killed_while_it_cleared_is_not_taken_for_done(monkeypatch, tmp_path):
+    (tmp_path / "lib").mkdir()
+    (tmp_path / ".ready").touch()
+
+    def killed(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shutil, "rmtree", killed)
+    with pytest.raises(KeyboardInterrupt):
+        install(tmp_path, ROOT, handle=-1)
+    assert not (tmp_path / ".ready").exists()
+
+
 @pytest.mark.slow
-def test_pip_that_outlives_a_killed_make_is_waited_for(machine):
+def test_uv_that_outlives_a_killed_make_is_waited_for(machine):
     machine.todo.write_text("slow")
     process = machine.start()
     machine.wait_for("started")
@@ -156,59 +170,58 @@ def test_pip_that_outlives_a_killed_make_is_waited_for(machine):
     code, complaints, said = machine.setup()
     process.communicate()
     assert (code, complaints) == (0, [])
-    assert "another set-up is running in .venv; waiting for it to finish" in said
+    assert "another set-up is running in .venv; waiting for it" in said
     assert machine.ready
 
 
-def test_a_package_that_lost_its_files_is_noticed(machine):
+def test_the_packages_come_from_the_mirror_that_pip_is_set_to(machine):
     assert machine.setup()[0] == 0
-    (machine.folder / ".venv/damaged").touch()
-    (machine.folder / ".venv/.ready").unlink()
-    code, _, said = machine.setup()
-    assert code == 0
-    assert "what is in .venv is damaged (damaged); recreating .venv" in said
-    assert not (machine.folder / ".venv/damaged").exists()
+    assert "uv from https://who:secret@mirror.example/simple\n" in machine.calls.read_text()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words", [REFUSED, NO_RETRIES, BROKEN_OFF], ids=["refused", "no retries", "broken off"]
+    ("what", "words", "why"),
+    [
+        ("nouv", NO_UV, "Could not find a version that satisfies the requirement uv"),
+        ("todo", REFUSED, "Request failed after 3 retries"),
+        ("todo", NO_WHEEL, "No solution found when resolving dependencies"),
+    ],
 )
-def test_a_mirror_that_does_not_answer_is_one_line_that_says_what_to_do(machine, words):
-    machine.todo.write_text(words)
+def test_what_cannot_be_fetched_is_one_line_that_says_what_to_do(machine, what, words, why):
+    getattr(machine, what).write_text(words)
     code, complaints, said = machine.setup()
     assert code == 2
     (line,) = complaints
-    assert line.startswith("set-up: https://mirror.example/simple does not answer")
-    assert ("six==1.17.0" in line) == ("six" in words)
+    what = "uv" if what == "nouv" else "the packages"
+    assert line.startswith(f"set-up: {what} could not be fetched from https://mirror.example/simple: check")
+    assert why in line
     assert "PIP_INDEX_URL=https://..." in line
     assert "run the same make command again" in line
     assert "secret" not in line + said
-    assert "Traceback" not in line + said
     assert (machine.folder / ".venv/install.log").read_text() == words
     assert not machine.ready
-    machine.todo.unlink()
+    machine.todo.unlink(missing_ok=True)
+    machine.nouv.unlink(missing_ok=True)
     assert machine.setup()[:2] == (0, [])
     assert machine.ready
 
 
-def test_a_package_that_cannot_be_had_is_not_blamed_on_the_network(machine):
-    machine.todo.write_text(NO_WHEEL)
-    code, (line,), _ = machine.setup()
-    assert code == 2
-    assert "the packages could not be installed: No matching distribution found for six==1.17.0" in line
-    assert "does not answer" not in line
-
-
-def test_a_trial_that_fails_is_tried_again_without_a_new_environment(machine):
+def test_a_whole_environment_is_kept_and_one_whose_trial_failed_is_made_anew(machine):
+    assert machine.setup()[0] == 0
+    kept = machine.folder / ".venv/kept"
+    kept.touch()
+    (machine.folder / "requirements.lock").touch()
+    assert machine.setup()[0] == 0
+    assert kept.exists()
     machine.sick.touch()
+    (machine.folder / "requirements.lock").touch()
     code, (line,), _ = machine.setup()
     assert code == 2
     assert "the lines above show what does not work" in line
-    (machine.folder / ".venv/kept").touch()
     machine.sick.unlink()
     assert machine.setup()[0] == 0
-    assert (machine.folder / ".venv/kept").exists()
+    assert not kept.exists()
 
 
 def test_a_folder_named_turtlebag_is_not_taken_for_the_package(tmp_path):
@@ -223,24 +236,6 @@ def test_a_folder_named_turtlebag_is_not_taken_for_the_package(tmp_path):
     words = [sys.executable, "-S", "-c", code]
     found = subprocess.check_output(words, cwd=tmp_path, text=True, timeout=20)
     assert Path(found.strip()).resolve() == ROOT / "pipeline/turtlebag/__init__.py"
-
-
-def test_damage_is_files_of_a_package_that_are_not_there(tmp_path):
-    sys.path.insert(0, str(ROOT / "pipeline/setup"))
-    from install import WHOLE
-
-    sys.path.remove(str(ROOT / "pipeline/setup"))
-    here = tmp_path / "site-packages"
-    for name, files in {"good": ["good.py"], "lost": ["lost.py", "lost/part.py"], "cut": None}.items():
-        info = here / f"{name}-1.0.dist-info"
-        info.mkdir(parents=True)
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-        (here / f"{name}.py").touch()
-        if files is not None:
-            (info / "RECORD").write_text("".join(f"{file},,\n" for file in [*files, "../../bin/script"]))
-    code = f"import sys\nsys.prefix, sys.path[:0] = {str(tmp_path)!r}, [{str(here)!r}]\n{WHOLE}"
-    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "cut, lost\n"
 
 
 MISSING = {

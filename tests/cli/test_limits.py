@@ -1,13 +1,16 @@
 """Numbers in files and options that would take hours or gigabytes are refused at the door, by their type."""
 
+from itertools import repeat
+
 import pytest
 
 from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.stages import record
+from turtlebag.pipeline.stages.record import Scene, record_drive
 
 WORLD = ["--world", "turtlebot3_world"]
 
@@ -110,10 +113,10 @@ def test_a_campaign_has_a_countable_number_of_cases(tmp_path, capsys, factors, s
     assert says in capsys.readouterr().err
 
 
-def test_a_script_that_goes_on_after_that_is_ended_and_kept(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(record, "LONGEST_S", 2.0)
-    (tmp_path / "a.yaml").write_text("name: a\nsteps:\n- {repeat: 100000, steps: [{wait: 0.5}]}\n")
-    words = ["--teleop", str(tmp_path / "a.yaml"), "--out", str(tmp_path / "out")]
-    assert main(["record", "--world", "empty", *words]) == 1
-    assert "the drive ended early: no more than 2 s are simulated" in capsys.readouterr().err
+def test_a_drive_that_goes_on_after_that_is_ended_and_kept(tmp_path, caplog):
+    driver, out = repeat(Twist()), Output(tmp_path / "out")
+    assert (
+        record_drive(Scene.load("empty"), (command for command in driver), "still", out, longest_s=2.0) == 1
+    )
+    assert "the drive ended early: no more than 2 s are simulated" in caplog.messages
     assert bag_info(tmp_path / "out").duration() == pytest.approx(2.0, abs=0.05)

@@ -8,7 +8,6 @@ import pytest
 from tests.helpers.bag_samples import write_drive
 from tests.helpers.fuzz_cases import carmen_log
 from tests.helpers.refusals import require_refused
-from tests.helpers.report_fakes import fake_map, fake_record
 
 RECORD = "record --world empty --out x"
 MANY = "9" * 5000
@@ -57,22 +56,22 @@ UNUSED = {
     "sweep . --query 'select 1' --out x": "--out...",
     "sweep . --query 'select 1' --workers 2": "--workers...",
 }
-SYSTEMS = {
-    f"{command} {system}{rest}": said
-    for command, rest in (("compare map", ""), ("report map --system", " --out x"))
-    for system, said in {
-        "a=1.tum": "...1.tum: too few poses to compare (1; at least 3 are needed)...",
-        "a=2.tum": "...2.tum: too few poses to compare (2; at least 3 are needed)...",
-        "a=map": "...map: is a folder; give the file of the trajectory in it...",
-        "a=5.tum --system-times map": "...map: is a folder; give the file of the times in it...",
-        "a=": "...a=: names no file; write NAME=FILE...",
-        "=5.tum": "...'': a system's name may contain only letters, digits, - and _...",
-        "truth=5.tum": "...truth: this name is taken...",
-        "truth.tum": "...truth: this name is taken...",
-        "TurtleBag.tum": "...TurtleBag: this name is taken...",
-    }.items()
+AVOID = "navigate --world empty --task avoid"
+FORMER = {
+    "ablate data/records/world --replace odometry --out x": (
+        "ablate is gone; give map or navigate a part that knows the truth, e.g. "
+        "--set front_end=turtlebag.testing:TrueFrontEnd"
+    ),
+    "blame data/records/world --out x": "blame is gone; give map or navigate a part that knows ...",
+    "teleop --world empty --view=1 --out x": "teleop: --view is gone; turtlebag studio shows the scan ...",
+    f"{AVOID} --takeover keyboard --out x": (
+        "navigate: --takeover is now called --teleop-override (see turtlebag navigate --help)"
+    ),
+    f"{AVOID} --takeover=mine.yaml --out x": "navigate: --takeover is now called --teleop-override (see ...)",
+    "report data/maps/a --rival other.tum --out x": "report: --rival is now called --system (see ...)",
+    "compare data/maps/a other.tum --rival-shift 1": "compare: --rival-shift is now called ...",
 }
-REFUSED = USAGE | NUMBERS | NAMES | BAGS | UNUSED | SYSTEMS
+REFUSED = FORMER | USAGE | NUMBERS | NAMES | BAGS | UNUSED
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +82,6 @@ def place(tmp_path_factory):
     (folder / "log").mkdir()
     (folder / "drive.clf").write_text(carmen_log())
     (folder / "empty.mcap").write_bytes(b"\x89MCAP0\r\n")
-    fake_map(folder / "map", fake_record(folder / "record"))
-    for count in (1, 2, 5):
-        lines = (f"{second} 0 0 0 0 0 0 1\n" for second in range(count))
-        (folder / f"{count}.tum").write_text("".join(lines))
-    for name in ("truth", "TurtleBag"):
-        (folder / f"{name}.tum").write_text((folder / "map/trajectory.tum").read_text())
     return folder
 
 

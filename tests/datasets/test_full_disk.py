@@ -36,7 +36,7 @@ def commands(chain):
         "sqlite3": ("bag", "convert", chain / "record", "--storage", "sqlite3"),
         "recover": ("bag", "recover", chain / "record"),
         "world.png": ("world", "show", chain / "room.yaml"),
-        "sweep": ("sweep", chain / "sweep.yaml", "--workers", "1"),
+        "sweep": ("sweep", chain / "sweep.yaml", "--workers", "1", "--scheduler", "threads"),
     }
 
 
@@ -50,9 +50,7 @@ RECORDERS = ("record", "goal", "avoid", "explore")
 
 
 @pytest.mark.parametrize("name", commands(Path()))
-def test_a_disk_full_before_the_last_byte_is_one_line_and_leaves_what_there_was(
-    chain, no_workers, tmp_path, name
-):
+def test_a_disk_full_before_the_last_byte_is_one_line_and_leaves_what_there_was(chain, tmp_path, name):
     verb, *words = commands(chain)[name]
     out = tmp_path / name
     code, said = outcome((verb, "-q", *words, "--out", out), 60)
@@ -105,9 +103,7 @@ HINDRANCES = {
 
 @pytest.mark.parametrize("name", ["record", "map", "avoid", "report", "convert", "world.png", "sweep"])
 @pytest.mark.parametrize("hindrance", HINDRANCES)
-def test_where_nothing_can_be_written_is_one_line_and_leaves_nothing(
-    chain, no_workers, tmp_path, name, hindrance
-):
+def test_where_nothing_can_be_written_is_one_line_and_leaves_nothing(chain, tmp_path, name, hindrance):
     verb, *words = commands(chain)[name]
     place = tmp_path / "place"
     place.mkdir()

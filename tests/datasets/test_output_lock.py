@@ -170,6 +170,18 @@ def test_an_output_that_cannot_be_removed_stays_and_so_does_the_result(tmp_path,
     assert {path.name for path in tmp_path.iterdir()} == {"out", "kept"}
 
 
+def test_an_output_in_a_folder_that_cannot_be_listed_is_written(tmp_path):
+    (tmp_path / "box").mkdir()
+    with ordinary_user():
+        (tmp_path / "box").chmod(0o300)
+        for force in (False, True):
+            with staged_output(tmp_path / "box/out", force=force) as partial:
+                (partial / "a").write_text("a")
+                write_manifest(partial, stage="map", command=[], inputs={}, seed=None, wall_s=0.0)
+    assert {path.name for path in (tmp_path / "box").iterdir()} == {"out"}
+    assert {path.name for path in (tmp_path / "box/out").iterdir()} == {"a", "manifest.json"}
+
+
 def test_what_file_managers_leave_is_nobodys(tmp_path):
     out, read = ours(tmp_path / "out", a="a"), ours(tmp_path / "in", a="a")
     before = sha256_tree(read)

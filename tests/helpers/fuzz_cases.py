@@ -381,5 +381,5 @@ CASES = {
     ),
     "keepout": lambda *a: _navigate(a[1], "goal", "--goal=0.3,0.1,0", keepout=_file(*a, "kept.yaml")),
     "session to drive again": _driven_again,
-    "sweep": lambda *a: ["sweep", "-q", _file(*a, "sweep.yaml"), "--workers", "1"],
+    "sweep": lambda *a: ["sweep", "-q", _file(*a, "sweep.yaml"), "--scheduler", "threads"],
 }

@@ -180,7 +180,14 @@ def test_a_part_that_returns_something_else_is_python_s_to_say(here, log):
 
 
 @pytest.mark.slow
-def test_a_part_that_breaks_ends_the_program_with_its_traceback_and_exit_code_1(here):
+@pytest.mark.parametrize(
+    ("raises", "said"),
+    [
+        ("raise ValueError('tired')", "ValueError: tired"),
+        ("open('nowhere')", "FileNotFoundError: [Errno 2] No such file or directory: 'nowhere'"),
+    ],
+)
+def test_a_part_that_breaks_ends_the_program_with_its_traceback_and_exit_code_1(here, capfd, raises, said):
     Path("task.py").write_text(
         "from turtlebag.datasets.types import Twist\n"
         "from turtlebag.pipeline.navigation.driver import Driver\n"
@@ -188,15 +195,17 @@ def test_a_part_that_breaks_ends_the_program_with_its_traceback_and_exit_code_1(
         "    def __init__(self, kit, mission): super().__init__(kit.sensing)\n"
         "    def step(self, observation):\n"
         "        self.sensing.observe(observation)\n"
-        "        if observation.stamp_ns > 2e9: raise ValueError('tired')\n"
+        f"        if observation.stamp_ns > 2e9: {raises}\n"
         "        return Twist()\n"
     )
     words = ["navigate", "--world", "turtlebot3_world", "--task", "task:Stops", "--out", "run"]
     done = subprocess.run([sys.executable, "-m", "turtlebag", *words], capture_output=True, text=True)
     assert done.returncode == 1
-    assert "ValueError: tired\n" in done.stderr
-    assert done.stderr.endswith("RuntimeError: task.py, line 7, in step: ValueError: tired\n")
+    assert f"\n{said}\n" in done.stderr
+    assert done.stderr.endswith(f"RuntimeError: task.py, line 7, in step: {said}\n")
     assert not Path("run").exists()
+    assert main(["bag", "info", "run.unfinished"]) == 0  # what was driven until then is kept, closed
+    assert "/odom" in capfd.readouterr().out
 
 
 def test_a_map_says_what_made_it_and_when_that_has_changed(here, log):

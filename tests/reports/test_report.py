@@ -12,7 +12,6 @@ import pytest
 from tests.helpers.help_text import options
 from tests.helpers.help_text import shown as shown_help
 from tests.helpers.report_fakes import fake_record, unrendered
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_report
@@ -181,22 +180,6 @@ def test_the_command_prints_the_page_and_refuses_to_overwrite(stages, tmp_path, 
     assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "out/index.html")
     assert main(argv) == 2
     assert "already exists" in capsys.readouterr().err
-
-
-def test_a_folder_that_is_no_stage_output_is_refused_in_one_line(tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    assert main(["report", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert "manifest.json" in error
-    assert error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("text", ["", "[1]", "{}", '{"stage": 3}', '{"stage": "soup"}', "\udcff"])
-def test_a_damaged_manifest_is_bad_input(text, tmp_path):
-    (tmp_path / "manifest.json").write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(InputError):
-        load_stage(tmp_path)
 
 
 def test_a_changed_output_is_found_by_its_hash(tmp_path):

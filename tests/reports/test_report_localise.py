@@ -16,7 +16,6 @@ from tests.helpers.report_fakes import (
     rehash,
     unrendered,
 )
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.outputs import Output, sha256_file, write_json
@@ -25,7 +24,7 @@ from turtlebag.pipeline.stages.report import make_report
 from turtlebag.pipeline.stages.verify import verify
 from turtlebag.reports.content import interactive_map_of
 from turtlebag.reports.drawing import planner_paths
-from turtlebag.reports.stages import Group, load_stage, read_path
+from turtlebag.reports.stages import Group, load_stage
 
 
 @pytest.mark.slow
@@ -43,13 +42,6 @@ def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
     found = verify(tmp_path / "out", main)
     assert found.problems == []
     assert "room/localise:localisation_error_m.rmse" in {check.key for check in found.checks}
-
-
-@pytest.mark.parametrize("text", ["", "x,y\n1,2\n", "x,y,yaw\n1,2,three\n"])
-def test_what_is_no_path_is_bad_input(text, tmp_path):
-    (tmp_path / "path.csv").write_text(text)
-    with pytest.raises(InputError):
-        read_path(tmp_path / "path.csv")
 
 
 def test_a_plan_that_found_nothing_is_reported_with_its_reason(tmp_path):

@@ -189,10 +189,3 @@ def test_the_index_is_a_sortable_page_without_machine_paths(base, tmp_path, caps
     assert main(["report", "--index", str(base), "--out", str(tmp_path / "again")]) == 0
     assert capsys.readouterr().out.strip().endswith("index.html")
     assert main(["report", "--index", str(base / "gone"), "--out", str(tmp_path / "no")]) == 2
-
-
-def test_an_index_of_nothing_is_refused_in_a_line(tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    assert main(["report", "--index", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 2
-    assert "no finished outputs in it" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

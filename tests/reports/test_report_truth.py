@@ -9,7 +9,6 @@ from tests.helpers.report_fakes import fake_map, fake_record, fake_run, undrawn,
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.compare import compare_outputs
 from turtlebag.pipeline.stages.report import make_index, make_report
-from turtlebag.pipeline.stages.verify import verify, words_of
 from turtlebag.reports.content import verdict
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.metrics.navigation import outcome
@@ -46,10 +45,8 @@ def test_a_run_that_only_believes_it_succeeded_is_a_failure_in_title_headline_ti
         r'<div class="tile bad"[^>]*><dt>goals reached</dt><dd>([^<]*)</dd><dd class="note">([^<]*)', text
     )
     assert tile.groups() == ("5 of 6", "the robot reported 6")
-    lines = words_of(text)
-    assert any(
-        "2 of 3 goals reached (the robot reported 3, but was up to 2.40 m away)" in line for line in lines
-    )
+    words = " ".join(re.sub("<[^>]*>", "", text).split())
+    assert "2 of 3 goals reached (the robot reported 3, but was up to 2.40 m away)" in words
 
 
 @pytest.mark.slow
@@ -66,16 +63,6 @@ def test_a_goal_the_robot_was_not_at_is_marked_so_on_the_map_for_the_mouse(folde
         text = make_report(stages, Output(folders / "alone"), animate=False).read_text()
     assert re.findall(r'<circle class="(good|bad)"', text) == ["good", "good", "bad"]
     assert re.findall(r'<circle class="(good|bad)"', page.read_text()) == ["good", "good", "good"]
-
-
-@pytest.mark.slow
-def test_a_page_that_contradicts_the_robot_verifies(page):
-    found = verify(page.parent)
-    assert found.problems == []
-    checked = {check.key for check in found.checks}
-    assert {
-        f"room/patrol-seed-2:{name}" for name in ("success", "true_success", "goals_truly_reached")
-    } <= checked
 
 
 def test_the_index_calls_it_bad_too(folders):

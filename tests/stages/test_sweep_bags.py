@@ -17,7 +17,7 @@ from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, write_json, write_manifest
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.pipeline.campaign.bags import _below, find_bags
+from turtlebag.pipeline.campaign.bags import bags_below, find_bags
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
 from turtlebag.pipeline.campaign.case import Where, made_once, row_of
 from turtlebag.pipeline.campaign.cases import cases
@@ -193,7 +193,7 @@ def test_patterns_name_bags(place, tmp_path):
 def test_a_bag_is_one_also_at_the_top_of_a_store_and_below_a_folder_without_a_name(folder):
     files = {f"{folder}/{name}": {"size": 1, "mtime": 1} for name in ("metadata.yaml", "bag_0.mcap")}
     store = SimpleNamespace(find=lambda top, detail: files)
-    assert [*_below(store, "")] == [folder]
+    assert [*bags_below(store, "")] == [folder]
 
 
 @pytest.mark.slow

@@ -25,12 +25,7 @@ class ConvertRequest(Request):
     bag: Bag
     storage: Annotated[
         Literal["mcap", "sqlite3"] | None,
-        Option(
-            "",
-            "storage format (default: mcap)",
-            "sqlite3",
-            choices=("mcap", "sqlite3"),
-        ),
+        Option("", "storage format (default: mcap)", "sqlite3", choices=("mcap", "sqlite3")),
     ] = None
     exclude: Annotated[tuple[str, ...], Option("TOPIC", "topic to leave out; may be repeated", "/imu")] = ()
     exclude_frame: Annotated[

@@ -19,6 +19,7 @@ from turtlebag.pipeline.stages.requests.options import (
     MapFile,
     Name,
     Option,
+    OrOwn,
     Overrides,
     Pose,
     Positive,
@@ -120,7 +121,7 @@ class NavigateRequest(Request):
     task: Annotated[
         str,
         part_of(*TASKS),
-        Option("", "task to run, or your own class (module:Class)", "goal", choices=TASKS),
+        Option("", "task to run, or your own class (module:Class)", "goal", choices=OrOwn(TASKS)),
     ]
     map: Annotated[MapFile | None, on_map("navigate")] = None
     initial_pose: Annotated[

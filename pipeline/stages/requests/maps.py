@@ -17,6 +17,7 @@ from turtlebag.pipeline.stages.requests.options import (
     MapFile,
     Name,
     Option,
+    OrOwn,
     Overrides,
     Pose,
     Seed,
@@ -47,8 +48,7 @@ class MapRequest(Request):
         ),
     ] = None
     relations: Annotated[
-        Path | None,
-        file("FILE", "relations file of a benchmark: adds error metrics", "intel.relations"),
+        Path | None, file("FILE", "relations file of a benchmark: adds error metrics", "intel.relations")
     ] = None
     also: Annotated[
         tuple[Path, ...],
@@ -75,8 +75,7 @@ class MapRequest(Request):
     ] = None
     name: Annotated[str | None, Option("NAME", "also save the map as NAME.pgm and NAME.yaml", "hall")] = None
     edits: Annotated[
-        Path | None,
-        file("FILE", "YAML file of loop closures to reject or to add", "edits.yaml"),
+        Path | None, file("FILE", "YAML file of loop closures to reject or to add", "edits.yaml")
     ] = None
     config: ConfigFile = None
     settings: Overrides = Field({})
@@ -131,7 +130,7 @@ class PlanRequest(Request):
             f"OMPL planner: {', '.join(PLANNERS)} (default: BITstar for a disc, else RRTConnect), "
             "or your own class (module:Class)",
             "RRTstar",
-            choices=PLANNERS,
+            choices=OrOwn(PLANNERS),
         ),
     ] = None
     compare: Annotated[bool, flag("run every planner and compare the paths")] = False

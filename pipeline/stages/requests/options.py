@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.number_text import decimal, decimals
-from turtlebag.datasets.parts import name_of
+from turtlebag.datasets.parts import is_own, name_of
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import parsed
 from turtlebag.pipeline.stages.parser import seed
@@ -22,6 +22,14 @@ from turtlebag.pipeline.terminal.messages import note_degrees
 
 FARTHEST_M = 1e9
 POSE, RAD = "X,Y,YAW", "m, m, rad"
+
+
+class OrOwn(tuple[str, ...]):
+    """Choices of an option that also accepts a user's class, module:Class."""
+
+    def __contains__(self, name: object) -> bool:
+        """Whether it is one of the choices, or could be such a class."""
+        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
 
 
 @dataclass(frozen=True)

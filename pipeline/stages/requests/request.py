@@ -36,6 +36,9 @@ class Request(Settings):
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))
+            if first["type"] == "extra_forbidden":
+                known = ", ".join(cls.model_fields)
+                raise InputError(f"{where}: {cls.VERB} has no such option (known: {known})") from None
             raise InputError(f"{where}: {plain_message(first)}") from None
 
     @field_validator("*", mode="before")

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import shutil
 import tempfile
 import threading
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 from turtlebag.api.given import PathLike
 from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.outputs import Output
+from turtlebag.pipeline.stages.command_line import said_of
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import log, show_bars
@@ -22,6 +25,9 @@ from turtlebag.pipeline.terminal.messages import log, show_bars
 # Without a handler of its own, a library's warnings are printed.
 log.addHandler(logging.NullHandler())
 _printed = logging.StreamHandler()
+
+
+Step = TypeVar("Step", bound=Callable[..., Any])
 
 
 def verbose(on: bool = True) -> None:
@@ -69,6 +75,30 @@ def made(
         if run(request, Output(place, force)) >= 128:
             raise KeyboardInterrupt
     return Made(place, (folder, *used), tuple(notes))
+
+
+def takes(kind: type[Request], but: Sequence[str] = ()) -> Callable[[Step], Step]:
+    """Of a step whose other keyword arguments are fields of a request: they are shown in its signature and
+    its help. `but` are those that it does not take."""
+
+    def decorated(step: Step) -> Step:
+        signature = inspect.signature(step)
+        own = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
+        fields = {
+            name: field
+            for name, field in kind.model_fields.items()
+            if name not in signature.parameters and name not in but
+        }
+        shown = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.get_default())
+            for name, field in fields.items()
+        ]
+        lines = (f"    {name}: {said_of(field)}" for name, field in fields.items())
+        step.__signature__ = signature.replace(parameters=[*own, *shown])  # type: ignore[attr-defined]
+        step.__doc__ = "\n".join([inspect.cleandoc(step.__doc__ or ""), "", "Options:", *lines])
+        return step
+
+    return decorated
 
 
 @contextmanager

@@ -1,20 +1,21 @@
 """The steps of the command line as functions: same stages, same settings, same bytes.
 
 All of them take `out`, a folder for the result (it must not exist, unless `force` replaces it); without it
-nothing is kept. `config` is a YAML file of settings, and `settings` changes single ones by their dotted
-names, as `--config` and `--set` do: `{"loops.match": "open3d"}`. For a part of your own, pass its class.
+nothing is kept. Their other keyword arguments are fields of a request, and so are the options of the command.
+`config` is a YAML file of settings, and `settings` changes single ones by their dotted names, as
+`--config` and `--set` do: `{"loops.match": "open3d"}`. For a part of your own, pass its class.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
-from turtlebag.api.making import TemporaryFolder, made
+from turtlebag.api.making import TemporaryFolder, made, takes
 from turtlebag.api.other_systems import Systems, fields_of
 from turtlebag.api.outputs import Bag, Map, as_map, robot_for
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
@@ -22,63 +23,41 @@ from turtlebag.api.tasks import Task, keepout_field, task_fields
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.compare import compare_as_asked
-from turtlebag.pipeline.stages.requests.drives import NavigateRequest, RecordRequest
+from turtlebag.pipeline.stages.requests.drives import TAKEN_BY, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
-from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
+from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.reports.system_comparison import SystemComparison
 
-Settings = Mapping[str, Any]
 
-
+@takes(RecordRequest)
 def record(
     world: PathLike | type,
     robot: PathLike | None = None,
     *,
-    teleop: PathLike = "tour",
-    seed: int = 1,
-    start: Pose | None = None,
-    config: PathLike | None = None,
-    settings: Settings | None = None,
     out: PathLike | None = None,
     force: bool = False,
+    **options: Any,
 ) -> Bag:
     """Drive a simulated robot and record its sensor data.
 
-    `world` is a name, a file or a class, `robot` a name or a file (default: the world's own), `teleop` a
-    script, or a bag whose commands are replayed; `start` is the true pose in the world. If the robot gets
-    stuck, the recording is kept, and its `notes` say so. InputError for unknown names and a start in an
-    obstacle.
+    `world` is a name, a file or a class. If the robot gets stuck, the recording is kept, and its `notes` say
+    so. InputError for unknown names and a start in an obstacle.
     """
-    asked = RecordRequest.checked(
-        world=world,
-        robot=robot,
-        teleop=teleop,
-        seed=seed,
-        start=start,
-        config=config,
-        settings=settings or {},
-    )
-    return Bag.of(made(asked, out, force, teleop))
+    asked = RecordRequest.checked(world=world, robot=robot, **options)
+    return Bag.of(made(asked, out, force, *options.values()))
 
 
+@takes(MapRequest)
 def map(
     source: PathLike,
     *,
     front_end: str | type | None = None,
-    truth: PathLike | None = None,
-    relations: PathLike | None = None,
-    also: Sequence[PathLike] = (),
-    continued: PathLike | None = None,
     laser: Pose | None = None,
     upside_down: bool = False,
-    topic: str | None = None,
-    edits: PathLike | None = None,
-    explain: bool = False,
-    config: PathLike | None = None,
-    settings: Settings | None = None,
     out: PathLike | None = None,
     force: bool = False,
+    **options: Any,
 ) -> Map:
     """Build a map from a recording: a Bag, a folder, a bag file or a CARMEN log.
 
@@ -87,37 +66,22 @@ def map(
     same place, `continued` an earlier map that the recording is added to. `laser` and `upside_down` override
     the laser's pose on the robot. InputError for what cannot be mapped.
     """
-    if upside_down and laser is None:
-        raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
-    asked = MapRequest.checked(
-        source=source,
-        truth=truth,
-        relations=relations,
-        also=also,
-        continued=continued,
-        laser=None if laser is None else (*given.pose(laser, "laser").xyt.tolist(), upside_down),
-        topic=topic,
-        edits=edits,
-        config=config,
-        settings={**(settings or {}), **({} if front_end is None else {"front_end": front_end})},
-        explain=explain,
-    )
-    return Map.of(made(asked, out, force, source, truth, *also, continued))
+    if front_end is not None:
+        options["settings"] = {**(options.get("settings") or {}), "front_end": front_end}
+    asked = MapRequest.checked(source=source, laser=_placed(laser, upside_down), **options)
+    return Map.of(made(asked, out, force, source, *options.values()))
 
 
+@takes(LocaliseRequest)
 def localise(
     source: PathLike,
     map: PathLike,
     *,
-    initial_pose: Pose | Literal["global"] | None = None,
-    truth: PathLike | None = None,
     laser: Pose | None = None,
     upside_down: bool = False,
-    seed: int = 1,
-    config: PathLike | None = None,
-    settings: Settings | None = None,
     out: PathLike | None = None,
     force: bool = False,
+    **options: Any,
 ) -> Localisation:
     """Localise a recorded robot on a map, scan by scan (AMCL).
 
@@ -125,34 +89,26 @@ def localise(
     is rejected. `truth` is a recording; it only adds error metrics. InputError for a recording without
     odometry or a map without walls.
     """
+    asked = LocaliseRequest.checked(source=source, map=map, laser=_placed(laser, upside_down), **options)
+    return Localisation.of(made(asked, out, force, source, map, *options.values()))
+
+
+def _placed(laser: Pose | None, upside_down: bool) -> list[Any] | None:
     if upside_down and laser is None:
         raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
-    asked = LocaliseRequest.checked(
-        source=source,
-        map=map,
-        initial_pose=initial_pose,
-        laser=None if laser is None else (*given.pose(laser, "laser").xyt.tolist(), upside_down),
-        truth=truth,
-        seed=seed,
-        config=config,
-        settings=settings or {},
-    )
-    return Localisation.of(made(asked, out, force, source, map, truth))
+    return None if laser is None else [*given.pose(laser, "laser").xyt.tolist(), upside_down]
 
 
+@takes(PlanRequest)
 def plan(
     map: PathLike,
     start: Pose,
     goal: Pose,
     *,
     robot: PathLike | None = None,
-    planner: str | type | None = None,
-    compare: bool = False,
-    seed: int = 0,
-    config: PathLike | None = None,
-    settings: Settings | None = None,
     out: PathLike | None = None,
     force: bool = False,
+    **options: Any,
 ) -> Plan:
     """Plan a path on a map from one pose to another, both in the map's frame.
 
@@ -160,27 +116,18 @@ def plan(
     a class; `compare` runs all of OMPL's. If there is no path, `success` is False and the verdict gives the
     reason. InputError for a start or goal off the map or in an obstacle.
     """
-    asked = PlanRequest.checked(
-        map=map,
-        robot=robot_for(as_map(map), robot),
-        start=start,
-        goal=goal,
-        planner=planner,
-        compare=compare,
-        seed=seed,
-        config=config,
-        settings=settings or {},
-    )
+    by = robot_for(as_map(map), robot)
+    asked = PlanRequest.checked(map=map, start=start, goal=goal, robot=by, **options)
     return Plan.of(made(asked, out, force, map))
 
 
+@takes(ReportRequest, but=("folders", "index", "system", *SYSTEM_OPTIONS))
 def report(
     *outputs: PathLike,
     systems: Systems | None = None,
-    animate: bool = True,
-    paper: bool = False,
     out: PathLike | None = None,
     force: bool = False,
+    **options: Any,
 ) -> Report:
     """Make one page about recordings, maps, runs, localisations and plans, with figures and numbers.
 
@@ -192,7 +139,7 @@ def report(
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
     files, rest = fields_of(systems)
-    asked = ReportRequest.checked(folders=outputs, system=files, **rest, animate=animate, paper=paper)
+    asked = ReportRequest.checked(folders=outputs, system=files, **rest, **options)
     return Report.of(made(asked, out, force, *outputs))
 
 
@@ -225,22 +172,19 @@ def compare(
     return Comparison.of(replace(done, notes=(*done.notes, *notes)))
 
 
+@takes(NavigateRequest, but=("goal", *(name for name in TAKEN_BY if name != "wiggle")))
 def navigate(
     map: PathLike | None = None,
     *,
     task: Task | type,
     world: PathLike | type | None = None,
     robot: PathLike | None = None,
-    seed: int = 0,
-    start: Pose | None = None,
     initial_pose: Pose | Literal["start", "global"] | None = "start",
-    wiggle: bool = False,
     teleop_override: PathLike | None = None,
     keepout: PathLike | Sequence[Any] | None = None,
-    config: PathLike | None = None,
-    settings: Settings | None = None,
     out: PathLike | None = None,
     force: bool = False,
+    **options: Any,
 ) -> Run:
     """Run a task in closed loop with the simulator, recorded and measured.
 
@@ -259,16 +203,12 @@ def navigate(
     asked = NavigateRequest.checked(
         world=scene,
         robot=robot if robot is not None or on is None else on.robot,
-        seed=seed,
-        start=start,
         map=None if on is None else on.yaml,
         initial_pose=None if on is None else initial_pose,
         **task_fields(task, files.path),
-        wiggle=wiggle,
         # the command line's words are files' names here, as any others
         teleop_override=None if teleop_override is None else Path(teleop_override).absolute(),
         keepout=keepout_field(keepout, files.path),
-        config=config,
-        settings=settings or {},
+        **options,
     )
     return Run.of(made(asked, out, force, map, files))
