@@ -46,8 +46,10 @@ def sections(told: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Section, ...]
         for part in parts:
             heading = dict(part)
             numbers = heading.pop("numbers")
-            common = {name: heading.pop(name, ()) for name in ("sources", "topics", "against")}
-            common["tolerance"] = heading.pop("tolerance")
+            common: dict[str, Any] = {
+                name: heading.pop(name, ()) for name in ("sources", "topics", "against")
+            }
+            common |= {"tolerance": heading.pop("tolerance")} if "tolerance" in heading else {}
             specs = []
             for path, entry in numbers.items():
                 whole = entry if "label" in entry else {**known[path], **entry}
