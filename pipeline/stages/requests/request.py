@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -60,12 +61,19 @@ class Request(Settings):
         return {"verb": self.VERB, **whole.model_dump(mode="json")}
 
     def files(self) -> list[Path]:
-        """The existing files and folders that it names: what the stage may read.
+        """The existing files and folders that it names, a map's image too: what the stage may read.
 
         A word may be the name of something built in; only a file of that name is meant as a file.
         """
-        named = [value for value in dict(self).values() if isinstance(value, str) and os.path.isfile(value)]
-        return [path for path in (*_paths(dict(self)), *map(Path, named)) if os.path.exists(path)]
+        values = dict(self).values()
+        named = [Path(value) for value in values if isinstance(value, str) and os.path.isfile(value)]
+        found = [*_paths(dict(self)), *named]
+        if isinstance(yaml := getattr(self, "map", None), Path):
+            from turtlebag.datasets.maps import map_files  # heavy, and needed anyway where there is a map
+
+            with suppress(InputError):  # whoever reads it says so
+                found.append(map_files(yaml)["map_image"])
+        return [path for path in found if os.path.exists(path)]
 
     def moved(self, place: Place) -> Self:
         """The same request with other paths, and other names of what may be a file."""
