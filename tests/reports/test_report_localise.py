@@ -40,7 +40,6 @@ def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
     assert "A path of 4.00\u202fm was found." in page
     found = verify(tmp_path / "out")
     assert found.problems == []
-    assert "room/localise:localisation_error_m.rmse" in {check.key for check in found.checks}
 
 
 def test_a_plan_that_found_nothing_is_reported_with_its_reason(tmp_path):
