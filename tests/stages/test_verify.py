@@ -14,7 +14,7 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.record import record_drive, scene_of
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest
-from turtlebag.pipeline.stages.requests.maps import MapRequest
+from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest
 from turtlebag.pipeline.stages.requests.pages import ReportRequest
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.stages.verify import Check, verify
@@ -63,6 +63,16 @@ def test_an_honest_report_verifies(tree):
     keys = re.findall(r'data-key="([^"]*)" data-value', (tree / "report/index.html").read_text())
     assert len(keys) > 30
     assert set(keys) <= known
+
+
+def test_a_localisation_and_a_plan_are_made_again_too(tree, chain):
+    shutil.copytree(chain / "plan", tree / "plan")
+    asked = LocaliseRequest(source=tree / "record", map=tree / "map", initial_pose="0,0,0", seed=2)
+    assert run(asked, Output(tree / "localise")) == 0
+    reported_again(tree, "record", "map", "localise", "plan")
+    found = found_in(tree)
+    assert (found.problems, found.not_run) == ([], [])
+    assert any(check.key.endswith("/plan:length_m") for check in found.checks)
 
 
 def in_metrics(stage, change):
