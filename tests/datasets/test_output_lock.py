@@ -263,6 +263,7 @@ def test_no_command_writes_over_into_or_around_its_input(tmp_path, monkeypatch, 
         ("sweep", "IN/config.yaml"),
         ("navigate", "--world", "empty", "--task", "avoid", "--teleop-override", "IN/config.yaml"),
         ("localise", "x", "--map", "other.yaml"),
+        ("navigate", "--world", "empty", "--task", "goal", "--map", "x", "--keepout", "other.yaml"),
     ],
 )
 def test_a_folder_that_holds_an_input_file_is_not_replaced(tmp_path, monkeypatch, capsys, words):
