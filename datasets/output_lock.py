@@ -35,7 +35,7 @@ from turtlebag.datasets.output_rules import (
 
 SESSION = "session.yaml"
 WORTH_SAVING = ("bag/*.mcap", "bags/*/*.mcap", SESSION)
-"""What nobody can be asked to make again."""
+"""Patterns of recordings and sessions, which cannot simply be made again."""
 log = logging.getLogger("turtlebag")
 _held: dict[Path, OutputLock] = {}
 

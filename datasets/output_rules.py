@@ -69,7 +69,7 @@ def strangers(folder: Path) -> Iterator[str]:
         inside = Path(place)
         within = "" if inside == folder else f"{inside.relative_to(folder).as_posix()}/"
         if (folders or files) and not os.access(inside, os.W_OK | os.X_OK, effective_ids=effective):
-            yield f"{within or 'it'} cannot be changed (Permission denied)"
+            yield f"{within or 'the folder'} cannot be changed (Permission denied)"
         for name in sorted([*files, *(name for name in folders if (inside / name).is_symlink())]):
             path = inside / name
             if name in JUNK or path == folder / MARKER or (name == MANIFEST and is_output(inside)):

@@ -106,7 +106,7 @@ class Output:
 
 
 NO_CONTENT = (MANIFEST, MARKER, *JUNK)
-"""Files of an output that say how it was made and how far it is, and nobody's."""
+"""Files in an output that are not hashed: our manifest and mark, and what file managers leave behind."""
 
 
 def sha256_tree(path: Path) -> dict[str, str]:

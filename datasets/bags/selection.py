@@ -66,8 +66,11 @@ class Selection:
         first, last = min(times, default=0), max(times, default=0)
         start, end = (first + round(1e9 * min(s, _LONGEST_S)) for s in (self.start_s, self.end_s))
         if times and not any(start <= time <= end for time in times):
-            said = f"--from {self.start_s:g} --to {self.end_s:g}: no message of {bag.path} is of that time"
-            raise InputError(f"{said}; it is {(last - first) * 1e-9:.2f} s long")
+            until = "" if self.end_s == math.inf else f" --to {self.end_s:g}"
+            raise InputError(
+                f"--from {self.start_s:g}{until}: {bag.path} has no messages in this interval; "
+                f"it is {(last - first) * 1e-9:.2f} s long"
+            )
         return start, end
 
 
@@ -113,5 +116,5 @@ class _Links:
 
 def _require_there(bag: Bag, option: str, what: str, wanted: Collection[str], there: Collection[str]) -> None:
     for name in wanted:
-        if there and name not in there:
+        if name not in there:
             raise InputError(f"{option} {name}: no such {what}; {bag.path} has {listed(there)}")

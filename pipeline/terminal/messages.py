@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import math
 import os
@@ -292,7 +293,8 @@ class Words:
             action()
         except OSError as error:
             gone = isinstance(error, BrokenPipeError)
-            self.problem = "" if gone else f"{self._name}: {error.strerror}"
+            reason = "is closed" if error.errno == errno.EBADF else error.strerror
+            self.problem = "" if gone else f"{self._name}: {reason}"
             with suppress(OSError):  # what is left in the stream would fail again when Python ends
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
             if not self.optional:

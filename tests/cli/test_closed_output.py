@@ -90,7 +90,7 @@ def test_the_work_is_done_though_streams_are_closed(tmp_path, closed):
     assert [path.read_text() for path in (tmp_path / "out").iterdir()] == ["whole"]
     assert ("line 2" in done.stdout) == (1 not in CLOSED[closed])
     lines = [line for line in done.stderr.splitlines() if line != "aside"]
-    lost = "turtlebag: stdout: Bad file descriptor; the rest of the output is lost"
+    lost = "turtlebag: stdout: is closed; the rest of the output is lost"
     assert lines == ([lost] if closed == "stdout" else [])
 
 
@@ -111,5 +111,5 @@ def test_results_that_cannot_be_told_are_an_error_and_messages_that_cannot_are_n
         assert done.returncode == (2 if 1 in closed else code)
         assert bool(done.stdout) == (1 not in closed and code == 0)
         lost = code == 0 and 1 in closed
-        assert (done.stderr == "turtlebag: stdout: Bad file descriptor\n") == (lost and 2 not in closed)
+        assert (done.stderr == "turtlebag: stdout: is closed\n") == (lost and 2 not in closed)
         assert done.stderr.count("\n") == (2 not in closed and (lost or code == 2))

@@ -156,14 +156,15 @@ def test_what_appears_in_an_output_while_it_is_replaced_is_kept_there_and_the_re
     assert [path.name for path in (tmp_path / "out.partial").iterdir()] == ["a"]
 
 
-@pytest.mark.parametrize("place", ["out", "out/truth"])
-def test_an_output_that_cannot_be_removed_stays_and_so_does_the_result(tmp_path, place):
+@pytest.mark.parametrize(("place", "named"), [("out", "the folder"), ("out/truth", "truth/")])
+def test_an_output_that_cannot_be_removed_stays_and_so_does_the_result(tmp_path, place, named):
     out = ours(tmp_path / "out", **{"truth/map.yaml": "a"})
     with ordinary_user():
         with pytest.raises(InputError, match=r"cannot be changed .* kept in .*out\.partial"):
             write(out, [], (tmp_path / place).chmod, 0o555, force=True)
         (tmp_path / "out.partial").rename(tmp_path / "kept")
-        with pytest.raises(InputError, match="cannot be changed"), staged_output(out, force=True):
+        again = staged_output(out, force=True)
+        with pytest.raises(InputError, match=f"out: {named} cannot be changed"), again:
             pass
     assert (out / "truth/map.yaml").read_text() == "a"
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["a"]
@@ -262,6 +263,7 @@ def test_no_command_writes_over_into_or_around_its_input(tmp_path, monkeypatch, 
         ("sweep", "IN/config.yaml"),
         ("navigate", "--world", "empty", "--task", "avoid", "--teleop-override", "IN/config.yaml"),
         ("localise", "x", "--map", "other.yaml"),
+        ("navigate", "--world", "empty", "--task", "goal", "--map", "x", "--keepout", "other.yaml"),
     ],
 )
 def test_a_folder_that_holds_an_input_file_is_not_replaced(tmp_path, monkeypatch, capsys, words):

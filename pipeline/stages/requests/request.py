@@ -21,6 +21,8 @@ from turtlebag.datasets.yaml_files import plain_message, read_mapping
 from turtlebag.pipeline.stages.requests.options import class_name
 
 Place = Callable[[str | Path], str | Path]
+MAPS = ("map", "keepout")
+"""Fields that may be a map yaml, which names an image."""
 
 
 class Request(Settings):
@@ -61,23 +63,29 @@ class Request(Settings):
         return {"verb": self.VERB, **whole.model_dump(mode="json")}
 
     def files(self) -> list[Path]:
-        """The existing files and folders that it names, a map's image too: what the stage may read.
+        """The existing files and folders that it names, and the images of maps: what the stage may read.
 
         A word may be the name of something built in; only a file of that name is meant as a file.
         """
-        values = dict(self).values()
-        named = [Path(value) for value in values if isinstance(value, str) and os.path.isfile(value)]
-        found = [*_paths(dict(self)), *named]
-        if isinstance(yaml := getattr(self, "map", None), Path):
-            from turtlebag.datasets.maps import map_files  # heavy, and needed anyway where there is a map
-
-            with suppress(InputError):  # whoever reads it says so
-                found.append(map_files(yaml)["map_image"])
-        return [path for path in found if os.path.exists(path)]
+        fields = dict(self)
+        named = [value for value in fields.values() if isinstance(value, str) and os.path.isfile(value)]
+        images = [image for name in MAPS for image in _images(fields.get(name))]
+        return [path for path in (*_paths(fields), *map(Path, named), *images) if os.path.exists(path)]
 
     def moved(self, place: Place) -> Self:
         """The same request with other paths, and other names of what may be a file."""
         return type(self).model_validate({name: _moved(value, place) for name, value in dict(self).items()})
+
+
+def _images(path: Any) -> list[Path]:
+    """The image of a map yaml; none of anything else, which the stage refuses or reads otherwise."""
+    if not isinstance(path, Path):
+        return []
+    from turtlebag.datasets.maps import map_files  # heavy, and needed anyway where there is a map
+
+    with suppress(InputError):
+        return [map_files(path)["map_image"]]
+    return []
 
 
 def _paths(value: Any) -> Iterator[Path]:
