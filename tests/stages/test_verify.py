@@ -91,6 +91,12 @@ def a_command_that_cannot_run(tree):
     in_metrics("map", lambda m: m["ate_m"].update(rmse=0.0))(tree)
 
 
+def another_recording(tree):
+    """A copy that its own manifest does not list, with one file less of what the map's says it read."""
+    shutil.copytree(tree / "record/bag", tree / "other/bag")
+    edit_json(tree / "map/manifest.json", lambda m: m["request"].update(source=str(tree / "other")))
+
+
 FORGED = {
     "the verdict of a map": (
         in_metrics("map", lambda m: m["self_check"].update(verdict="doubtful")),
@@ -128,6 +134,18 @@ FORGED = {
     "a request that cannot be run": (
         in_manifest("map", lambda m: m["request"].update(source="nowhere")),
         "room/map: cannot be run again: nowhere: no such file or folder",
+    ),
+    "another recording": (
+        another_recording,
+        "room/map: run again, its input source is another one: ",
+    ),
+    "an input that is not listed": (
+        in_manifest("record", lambda m: m["inputs"].pop("teleop")),
+        "room/record: run again, it reads ",
+    ),
+    "settings in a file": (
+        in_manifest("map", lambda m: m["request"].update(config="any.yaml")),
+        "room/map: its request names a settings file, any.yaml, instead of holding its settings",
     ),
     "no request": (
         in_manifest("map", lambda m: m.pop("request")),
