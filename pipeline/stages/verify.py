@@ -145,7 +145,10 @@ def _file(folder: Path, name: str) -> Path:
 
 
 def _elsewhere(manifest: Manifest) -> str:
-    """What is other here than where an output was made, so that its bytes may be; empty where nothing is."""
+    """What is other here than where an output was made, so that its bytes may be; empty where nothing is, and
+    of an output that cannot be made again, which says less of where it was made."""
+    if manifest.request is None:
+        return ""
     machine = platform.machine()
     here = {**package_versions(), "python": platform.python_version(), "processor": cpu_name()}
     there = {**manifest.packages, "python": manifest.python, "processor": manifest.cpu}

@@ -311,6 +311,15 @@ def test_a_report_of_an_earlier_version_is_to_be_made_again(tree, capsys):
     assert capsys.readouterr().err.endswith("is a report of an earlier version; make it again\n")
 
 
+def test_what_an_earlier_version_made_is_not_said_to_be_of_another_machine(tree):
+    for name in (*STAGES, "report"):
+        edit_json(tree / name / "manifest.json", lambda m: (m.pop("request"), m.pop("cpu")))
+    found = verify(tree / "report")
+    again = "made by an earlier version: run it again"
+    assert found.elsewhere == []
+    assert [line.partition(": ")[2] for line in found.not_run] == [again] * 4
+
+
 def test_what_is_no_report_is_refused(tree, tmp_path, capsys):
     for folder in (tree / "map", Path("/"), tree / "gone"):
         assert main(["verify", str(folder)]) == 2
