@@ -85,6 +85,10 @@ def request_in(manifest: Manifest) -> Request:
     kind = REQUESTS.get(str(fields.pop("verb", None)))
     if kind is None:
         raise NotRun("made by an earlier version: run it again")
+    if isinstance(fields.get("config"), str):  # what a file said is recorded; a name may lead to any part
+        raise NotRun(
+            f"its request names a settings file, {fields['config']}, instead of holding its settings"
+        )
     try:
         return checked(kind, fields, where="request")
     except InputError as error:

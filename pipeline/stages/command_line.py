@@ -24,13 +24,16 @@ Asked = TypeVar("Asked", bound=Request)
 
 
 def add_request(parser: Parser, kind: type[Request]) -> None:
-    """An option for each field of a request; what is not given is not in the namespace."""
-    for name, field in kind.model_fields.items():
+    """An option for each field of a request, its own before those that it shares with others; what is not
+    given is not in the namespace."""
+    for name in sorted(kind.model_fields, key=lambda name: name not in kind.__annotations__):
+        field = kind.model_fields[name]
         _add_field(parser, name, field, option_of(field))
 
 
 def _add_field(parser: Parser, name: str, field: FieldInfo, option: Option) -> None:
-    words: dict[str, Any] = {"help": said_of(field), "default": argparse.SUPPRESS}
+    again = "; may be repeated" if _repeated(field) and not option.positional else ""
+    words: dict[str, Any] = {"help": f"{said_of(field)}{again}", "default": argparse.SUPPRESS}
     if not option.positional:
         words |= {"dest": name, "required": field.is_required()}
     if field.annotation is bool:

@@ -145,7 +145,10 @@ def _file(folder: Path, name: str) -> Path:
 
 
 def _elsewhere(manifest: Manifest) -> str:
-    """What is other here than where an output was made, so that its bytes may be; empty where nothing is."""
+    """What is other here than where an output was made, so that its bytes may be; empty where nothing is, and
+    of an output that cannot be made again, which says less of where it was made."""
+    if manifest.request is None:
+        return ""
     machine = platform.machine()
     here = {**package_versions(), "python": platform.python_version(), "processor": cpu_name()}
     there = {**manifest.packages, "python": manifest.python, "processor": manifest.cpu}
@@ -211,6 +214,21 @@ def _check_stage(
             for key in FACTS
             if facts.get(key) != is_so.get(key)
         ]
+        found.problems += _other_inputs(name, stage.manifest, again.manifest)
+
+
+def _other_inputs(name: str, made: Manifest, again: Manifest) -> Iterator[str]:
+    """What a stage read when it was run again, and is not what its manifest says it read."""
+    for label in dict.fromkeys([*made.inputs, *again.inputs]):
+        if label not in again.inputs:
+            yield f"{name}: its manifest has an input {label}; run again, it reads none"
+        elif label not in made.inputs:
+            if label != "teleop_override":  # at the keyboard then, now from the file that it left
+                path = again.inputs[label].path
+                yield f"{name}: run again, it reads {path}, which its manifest does not list"
+        # There may be more files in a folder by now.
+        elif not made.inputs[label].sha256.items() <= again.inputs[label].sha256.items():
+            yield f"{name}: run again, its input {label} is another one: {again.inputs[label].path}"
 
 
 def _check_report(report: Path, manifest: Manifest, folders: Sequence[Path], found: Verification) -> None:

@@ -101,6 +101,12 @@ def a_command_that_cannot_run(tree):
     in_metrics("map", lambda m: m["ate_m"].update(rmse=0.0))(tree)
 
 
+def another_recording(tree):
+    """A copy that its own manifest does not list, with one file less of what the map's says it read."""
+    shutil.copytree(tree / "record/bag", tree / "other/bag")
+    edit_json(tree / "map/manifest.json", lambda m: m["request"].update(source=str(tree / "other")))
+
+
 FORGED = {
     "the verdict of a map": (
         in_metrics("map", lambda m: m["self_check"].update(verdict="doubtful")),
@@ -138,6 +144,18 @@ FORGED = {
     "a request that cannot be run": (
         in_manifest("map", lambda m: m["request"].update(source="nowhere")),
         "room/map: cannot be run again: nowhere: no such file or folder",
+    ),
+    "another recording": (
+        another_recording,
+        "room/map: run again, its input source is another one: ",
+    ),
+    "an input that is not listed": (
+        in_manifest("record", lambda m: m["inputs"].pop("teleop")),
+        "room/record: run again, it reads ",
+    ),
+    "settings in a file": (
+        in_manifest("map", lambda m: m["request"].update(config="any.yaml")),
+        "room/map: its request names a settings file, any.yaml, instead of holding its settings",
     ),
     "no request": (
         in_manifest("map", lambda m: m.pop("request")),
@@ -304,6 +322,15 @@ def test_a_report_of_an_earlier_version_is_to_be_made_again(tree, capsys):
     edit_json(tree / "report/manifest.json", lambda m: m["inputs"].update(change))
     assert main(["verify", str(tree / "report")]) == 2
     assert capsys.readouterr().err.endswith("is a report of an earlier version; make it again\n")
+
+
+def test_what_an_earlier_version_made_is_not_said_to_be_of_another_machine(tree):
+    for name in (*STAGES, "report"):
+        edit_json(tree / name / "manifest.json", lambda m: (m.pop("request"), m.pop("cpu")))
+    found = verify(tree / "report")
+    again = "made by an earlier version: run it again"
+    assert found.elsewhere == []
+    assert [line.partition(": ")[2] for line in found.not_run] == [again] * 4
 
 
 def test_what_is_no_report_is_refused(tree, tmp_path, capsys):

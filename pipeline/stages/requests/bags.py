@@ -27,12 +27,12 @@ class ConvertRequest(Request):
         Literal["mcap", "sqlite3"] | None,
         Option("", "storage format (default: mcap)", "sqlite3", choices=("mcap", "sqlite3")),
     ] = None
-    exclude: Annotated[tuple[str, ...], Option("TOPIC", "topic to leave out; may be repeated", "/imu")] = ()
+    exclude: Annotated[tuple[str, ...], Option("TOPIC", "topic to leave out", "/imu")] = ()
     exclude_frame: Annotated[
         tuple[Frame, ...],
         Option(
             "FRAME",
-            "drop every transform whose child is FRAME, in /tf and /tf_static; may be repeated",
+            "drop every transform whose child is FRAME, in /tf and /tf_static",
             "wheel_left_link",
         ),
     ] = ()

@@ -52,7 +52,7 @@ class MapRequest(Request):
     ] = None
     also: Annotated[
         tuple[Path, ...],
-        file("INPUT", "another recording of the same place to add to the map; may be repeated", "rec2"),
+        file("INPUT", "another recording of the same place to add to the map", "rec2"),
     ] = ()
     continued: Annotated[
         Path | None,

@@ -228,7 +228,7 @@ ConfigFile = Annotated[Path | dict[str, Any] | None, file("FILE", "YAML file wit
 Overrides = Annotated[
     dict[str, Any],
     BeforeValidator(chosen_settings),
-    Option("KEY=VALUE", "override one setting; may be repeated", "sim.sensors=clean", name="--set"),
+    Option("KEY=VALUE", "override one setting", "sim.sensors=clean", name="--set"),
 ]
 LaserPose = Annotated[
     Annotated[Laser, BeforeValidator(laser)] | None,

@@ -72,7 +72,7 @@ class ReportRequest(SystemsRequest):
         tuple[SystemFile, ...],
         Option(
             "[NAME=]FILE",
-            "file of another system to show next to ours (see compare); may be repeated",
+            "file of another system to show next to ours (see compare)",
             "other=poses.tum",
         ),
     ] = ()

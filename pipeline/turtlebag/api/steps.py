@@ -62,7 +62,8 @@ def map(
     """Build a map from a recording: a Bag, a folder, a bag file or a CARMEN log.
 
     `front_end` is a name or a class (its contract is `turtlebag.pipeline.slam.front_end`). `truth` (a
-    recording) and `relations` (a benchmark's file) only add error metrics. `also` are later recordings of the
+    recording) adds error metrics and decides on the verdict, `relations` (a benchmark's file) only adds
+    metrics. `also` are later recordings of the
     same place, `continued` an earlier map that the recording is added to. `laser` and `upside_down` override
     the laser's pose on the robot. InputError for what cannot be mapped.
     """
