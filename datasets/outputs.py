@@ -171,6 +171,7 @@ def write_manifest(
         {
             "stage": stage,
             "command": list(command),
+            "started_in": os.path.relpath(Path.cwd(), folder.resolve()),
             "seed": seed,
             "inputs": {
                 name: {"path": str(path), "sha256": sha256_tree(path)} for name, path in inputs.items()

@@ -46,8 +46,8 @@ def sections(told: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Section, ...]
         for part in parts:
             heading = dict(part)
             numbers = heading.pop("numbers")
-            common = {name: heading.pop(name, ()) for name in ("sources", "topics", "against")}
-            common["tolerance"] = heading.pop("tolerance")
+            common: dict[str, Any] = {"sources": (), "topics": (), "against": ()}
+            common |= {name: heading.pop(name) for name in (*common, "tolerance") if name in heading}
             specs = []
             for path, entry in numbers.items():
                 whole = entry if "label" in entry else {**known[path], **entry}

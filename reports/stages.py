@@ -47,6 +47,8 @@ class Manifest(BaseModel):
 
     stage: str
     command: list[str] = []
+    started_in: str | None = None
+    """The folder, seen from the output, where the relative paths of its inputs begin."""
     request: dict[str, Any] | None = None
     interrupted: bool = False
     seed: int | None = None

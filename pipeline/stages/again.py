@@ -35,7 +35,7 @@ def made_again(stage: Stage, stages: Sequence[Stage], out: Path, *, allow_comman
     manifest = stage.manifest
     request = request_in(manifest)
     require_ours(request, allow_commands=allow_commands)
-    places = {entry.path: _place_of(name, entry, stages) for name, entry in manifest.inputs.items()}
+    places = {entry.path: _place_of(name, entry, stage, stages) for name, entry in manifest.inputs.items()}
     request = request.moved(lambda value: _moved(value, places))
     by_hand = isinstance(request, KeyboardRequest) or manifest.interrupted
     if isinstance(request, NavigateRequest) and request.teleop_override == "keyboard":
@@ -107,9 +107,12 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(one)
 
 
-def _place_of(name: str, entry: Input, stages: Sequence[Stage]) -> Path:
-    """Where an input lies now: in a stage that made it, by its hashes, or where it lay."""
-    place = entry.path
+def _place_of(name: str, entry: Input, reader: Stage, stages: Sequence[Stage]) -> Path:
+    """Where an input of a stage lies now: in a stage that made it, by its hashes, or where it lay, seen from
+    here or from the output of the stage that read it."""
+    place, started_in = entry.path, reader.manifest.started_in
+    if not place.exists() and started_in is not None:
+        place = reader.folder.resolve() / started_in / place
     for stage in stages:
         if (made := folder_of(entry, stage)) is not None:
             place = stage.folder / entry.path.relative_to(made)
@@ -147,7 +150,8 @@ def command_differs(manifest: Manifest) -> str | None:
         return f"the command in its manifest is of {typed.VERB}"
     for name, value in typed:
         asked = getattr(request, name)
-        read_then = name in ("config", "settings") and getattr(typed, "config", None) is not None
+        files = (getattr(one, "config", None) for one in (typed, request))
+        read_then = name in ("config", "settings") and any(files)  # what it said stands in the request
         in_folder = name == "map" and isinstance(value, Path) and value / "map.yaml" == asked
         if value != asked and not read_then and not in_folder:
             return f"the command in its manifest has another {name} than its request: {value} and {asked}"

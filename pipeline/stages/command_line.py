@@ -116,10 +116,10 @@ def words_of(request: Request) -> list[str]:
             words += [f"./{text}" if text.startswith("-") else text for text in texts]
         elif isinstance(value, bool):
             options += [_flag(name, option)] if value != field.default else []
+        elif isinstance(value, dict):  # settings, or what a file of them says
+            options += [word for held in value.items() for word in ("--set", _setting(*held))]
         elif value is not None and value != field.default:
-            several = value.items() if isinstance(value, dict) else value
-            for one in several if _repeated(field) else [value]:
-                text = _word(one, "=" if isinstance(value, dict) else "")
+            for text in map(_word, value if _repeated(field) else [value]):
                 flag = _flag(name, option)
                 options += [f"{flag}={text}"] if text.startswith("-") else [flag, text]
     return [*words, *options]
@@ -131,11 +131,13 @@ def recorded(request: Request, out: Output) -> Output:
     return replace(out, command=command, request=request.recorded())
 
 
-def _word(value: Any, setting: str = "") -> str:
+def _setting(key: str, value: Any) -> str:
+    plain = isinstance(value, str) and bool(value) and parsed(value, where=key) == value
+    return f"{key}={value if plain else json.dumps(value)}"
+
+
+def _word(value: Any) -> str:
     """A value as the command line takes it, numbers with all their digits."""
-    if setting:
-        key, held = value
-        return f"{key}={held if _reads_back(held) else json.dumps(held)}"
     if isinstance(value, Laser):
         return ",".join([*map(repr, value[:3]), *(["upside-down"] if value.upside_down else [])])
     if isinstance(value, tuple) and isinstance(value[0], str):
@@ -144,7 +146,3 @@ def _word(value: Any, setting: str = "") -> str:
     if isinstance(value, tuple):
         return ",".join(map(repr, value))
     return repr(value) if isinstance(value, float) else str(value)
-
-
-def _reads_back(value: Any) -> bool:
-    return isinstance(value, str) and bool(value) and parsed(value, where="") == value

@@ -211,11 +211,11 @@ def test_a_whole_environment_is_kept_and_one_whose_trial_failed_is_made_anew(mac
     assert machine.setup()[0] == 0
     kept = machine.folder / ".venv/kept"
     kept.touch()
-    (machine.folder / "requirements.lock").touch()
+    (machine.folder / ".venv/.ready").unlink()
     assert machine.setup()[0] == 0
     assert kept.exists()
     machine.sick.touch()
-    (machine.folder / "requirements.lock").touch()
+    (machine.folder / ".venv/.ready").unlink()
     code, (line,), _ = machine.setup()
     assert code == 2
     assert "the lines above show what does not work" in line

@@ -29,7 +29,8 @@ def mounted(place, options):
     try:
         yield
     finally:
-        subprocess.run(["umount", str(place)], check=True)
+        # Lazily: a traceback that is not collected yet may hold a file of it open.
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
 @contextmanager

@@ -64,7 +64,8 @@ def test_every_picture_of_the_registry_is_drawn():
     assert {*PICTURE_SOURCES} <= {f"{kind}-{name}" for kind in SECTIONS for name in drawn}
 
 
-PART = {"title": "A", "sources": ["a"], "numbers": {"n": {"label": "n", "unit": "m", "meaning": "N."}}}
+NUMBER = {"label": "n", "unit": "m", "meaning": "N."}
+PART = {"title": "A", "sources": ["a"], "tolerance": 0.1, "numbers": {"n": NUMBER}}
 
 
 @pytest.mark.parametrize(
@@ -75,6 +76,7 @@ PART = {"title": "A", "sources": ["a"], "numbers": {"n": {"label": "n", "unit": 
         ({"against": ["thruth"]}, "against"),
         ({"numbers": {"n": {**PART["numbers"]["n"], "seldum": True}}}, "seldum"),
         ({"numbers": {"n": {"label": "n", "unit": "m"}}}, "meaning"),
+        ({"tolerance": -1.0}, "tolerance"),
     ],
 )
 def test_a_misspelt_key_is_an_error(changes, where):

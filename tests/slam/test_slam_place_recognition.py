@@ -17,13 +17,14 @@ from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.drift import HONEST, drift_of
 from turtlebag.pipeline.slam.factors import Constraint, Loop
 from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_search import LoopConfig
+from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.place_recognition import (
     PlaceRecognitionConfig,
     accepted_sets,
     join_parts,
     judge_place,
+    recognise_places,
     submap_searches,
 )
 from turtlebag.pipeline.slam.point_to_line_icp import Alignment
@@ -39,6 +40,7 @@ from turtlebag.pipeline.slam.submaps import (
     similarity,
     windows,
 )
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 
 @cache
@@ -210,6 +212,27 @@ def test_a_place_is_looked_for_near_where_the_track_has_it():
         off = {j: SIGMAS * math.sqrt(HONEST * 4.0 * (i - j)) for j in range(0, i, 4)}
         reached = {j: m for j, m in off.items() if m > 10.0 and i - j < m + MOST_SHIFT * RESOLUTION_M}
         assert searches.get(i, {}) == pytest.approx(reached, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sigma_m", "walls", "found"), [(0.5, 1.0, True), (0.05, 1.0, False), (0.5, 0.0, False)]
+)
+def test_what_looks_alike_is_a_place_where_the_drift_allows_it_and_there_are_walls(sigma_m, walls, found):
+    """On the track the second round of a room lies up to 5 m beside the first."""
+    truth = around_the_room(120, laps=2)
+    clouds = make_clouds(recording(ROOM, truth), 30.0)
+    scans = KeyScans(clouds._replace(normals=walls * clouds.normals), np.arange(120))
+    drifted = truth + np.linspace(0.0, 5.0, 120)[:, None] * [1.0, 0.0, 0.0]
+    information = np.diag([sigma_m**-2, sigma_m**-2, 1e8]) * HONEST
+    moves = SE2(drifted).steps()
+    steps = [Constraint(k, k + 1, move, information, "step") for k, move in enumerate(moves)]
+    no, gaps = np.zeros(119, dtype=bool), np.zeros((0, 2), dtype=np.int64)
+    closing = LoopClosing(LoopConfig(reach_m=1.0))
+    made = recognise_places(
+        scans, SE2(drifted), steps, TrackBreaks(no, no, no, gaps), [], PlaceRecognitionConfig(), closing
+    )
+    assert bool(made.record) == found
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,18 @@ def test_the_same_is_asked_for_by_words_and_by_values(tmp_path):
     assert read(words_of(asked)) == asked
 
 
+def test_what_a_settings_file_says_is_recorded_and_stands_in_the_command(tmp_path):
+    (tmp_path / "mine.yaml").write_text("loops: {enabled: false}\nrefine: {rounds: 0, reach_m: .inf}\n")
+    asked = MapRequest(source="rec", config=tmp_path / "mine.yaml", settings={"refine.rounds": 2})
+    recorded = {**asked.recorded()}
+    assert recorded.pop("verb") == "map"
+    again = MapRequest.checked(**json.loads(json.dumps(recorded)))
+    assert again.config == {"loops": {"enabled": False}, "refine": {"rounds": 0, "reach_m": "inf"}}
+    words = words_of(again)
+    assert list(read(words).settings) == ["loops", "refine", "refine.rounds"]
+    assert read(words).settings["refine.rounds"] == 2
+
+
 def test_of_two_settings_of_one_name_the_later_counts_and_comes_later():
     asked = read(["record", "--world", "empty", "--set", "a=1", "--set", "b=2", "--set", "a=3"])
     assert list(asked.settings.items()) == [("b", 2), ("a", 3)]

@@ -14,7 +14,7 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.record import record_drive, scene_of
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest
-from turtlebag.pipeline.stages.requests.maps import MapRequest
+from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest
 from turtlebag.pipeline.stages.requests.pages import ReportRequest
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.stages.verify import Check, verify
@@ -63,6 +63,16 @@ def test_an_honest_report_verifies(tree):
     keys = re.findall(r'data-key="([^"]*)" data-value', (tree / "report/index.html").read_text())
     assert len(keys) > 30
     assert set(keys) <= known
+
+
+def test_a_localisation_and_a_plan_are_made_again_too(tree, chain):
+    shutil.copytree(chain / "plan", tree / "plan")
+    asked = LocaliseRequest(source=tree / "record", map=tree / "map", initial_pose="0,0,0", seed=2)
+    assert run(asked, Output(tree / "localise")) == 0
+    reported_again(tree, "record", "map", "localise", "plan")
+    found = found_in(tree)
+    assert (found.problems, found.not_run) == ([], [])
+    assert any(check.key.endswith("/plan:length_m") for check in found.checks)
 
 
 def in_metrics(stage, change):
@@ -209,10 +219,13 @@ def test_a_changed_file_and_a_lost_input_are_named(tree):
 
 def test_an_input_that_is_no_stage_of_the_report_is_hashed(chain, tmp_path):
     shutil.copy(chain / "drive.log", tmp_path / "drive.log")
-    assert run(MapRequest(source=tmp_path / "drive.log"), Output(tmp_path / "map")) == 0
+    (tmp_path / "mine.yaml").write_text("loops: {enabled: false}\n")
+    asked = MapRequest(source=tmp_path / "drive.log", config=tmp_path / "mine.yaml")
+    assert run(asked, Output(tmp_path / "map")) == 0
     reported_again(tmp_path, "map")
-    # By Python nobody typed a command, and none is missed.
-    assert found_in(tmp_path).not_run == []
+    (tmp_path / "mine.yaml").unlink()  # what it said stands in the request
+    found = found_in(tmp_path)
+    assert (found.problems, found.not_run) == ([], [])
     (tmp_path / "drive.log").write_text("another\n")
     (line,) = found_in(tmp_path).not_run
     assert re.fullmatch(r"\S+/map: its input source, .*drive\.log, is not what it was \(drive\.log\)", line)

@@ -57,8 +57,8 @@ class Request(Settings):
         fields = dict(self)
         if isinstance(fields.get("config"), Path):
             fields["config"] = read_mapping(fields["config"])
-        whole = type(self).model_construct(**fields)
-        return {"verb": self.VERB, **_finite(whole.model_dump(mode="json"))}
+        whole = type(self).model_construct(**{name: _finite(value) for name, value in fields.items()})
+        return {"verb": self.VERB, **whole.model_dump(mode="json")}
 
     def files(self) -> list[Path]:
         """The existing files and folders that it names, a map's image too: what the stage may read.
