@@ -34,14 +34,18 @@ class BagFolder:
             if (folder / METADATA_FILE).exists():
                 raise FileExistsError
             self._file = GrowingFile(folder / DATA_FILE)
-            self._mcap = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_BYTES, enable_data_crcs=True)
-            self._mcap.start("ros2", "turtlebag")
-            if custom:  # at the beginning, where a crash cannot take it away
-                self._mcap.add_metadata(CUSTOM_RECORD, dict(custom))
-            self._mcap.flush()
         except FileExistsError:
             raise InputError(f"{folder}: already holds a bag; choose another folder") from None
         except OSError as error:
+            raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+        self._mcap = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        self._mcap.start("ros2", "turtlebag")
+        if custom:  # at the beginning, where a crash cannot take it away
+            self._mcap.add_metadata(CUSTOM_RECORD, dict(custom))
+        try:
+            self._mcap.flush()
+        except OSError as error:
+            self._file.close()
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
         self._folder = folder
         self._custom = dict(custom)

@@ -118,8 +118,12 @@ class Journal:
             told["sim"] = sim
         begun = path.with_name(f".{path.name}")
         self._file = GrowingFile(begun)
-        self._write(yaml.safe_dump(told, sort_keys=False) + "inputs:\n")
-        begun.rename(path)  # a kill between the two leaves no half a header
+        try:
+            self._write(yaml.safe_dump(told, sort_keys=False) + "inputs:\n")
+            begun.rename(path)  # a kill between the two leaves no half a header
+        except OSError:
+            self._file.close()
+            raise
         self._asked: Twist | None = None
         self._begin_ns = self._silent_ns = 0
 

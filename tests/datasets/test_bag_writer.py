@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import os
 
 import numpy as np
 import pytest
@@ -159,6 +160,13 @@ def test_where_there_is_no_room_all_whole_chunks_are_kept(tmp_path, room, second
     saved = recover(tmp_path / "bag", tmp_path / "saved")
     assert saved.messages == 101 * seconds
     assert file.stat().st_size > 0.7 * room
+
+
+def test_a_bag_without_room_for_its_head_leaves_no_file_open(tmp_path):
+    with files_below(20), pytest.raises(InputError, match="cannot be written") as refused:
+        BagWriter(tmp_path / "bag", custom={})
+    opened = [os.path.realpath(f"/proc/self/fd/{number}") for number in os.listdir("/proc/self/fd")]
+    assert not [path for path in opened if path.startswith(str(tmp_path))], refused
 
 
 def test_a_bag_without_room_for_any_message_is_none(tmp_path):
