@@ -144,10 +144,8 @@ def _read_cells(path: Path, meta: MapYaml) -> NDArray[np.int8]:
             f"the limit is {MAX_CELLS // 1_000_000} million pixels, with which localisation takes {MAX_GB} GB"
         )
         raise InputError(f"{path}: its image is too large ({limit}); crop or reduce it") from None
-    except Exception as error:
-        # Pillow raises many types (SyntaxError among them) for damaged images.
-        what = f"not a readable image ({type(error).__name__})"
-        raise InputError(f"{path}: {what}; PGM, PNG, BMP and JPEG are read") from None
+    except Exception:  # Pillow raises many types (SyntaxError among them) for damaged images
+        raise InputError(f"{path}: not a readable image; PGM, PNG, BMP and JPEG are read") from None
     # One look-up a pixel: arithmetic on the whole image takes forty bytes for each.
     cells = _interpret(np.linspace(0.0, 255.0, top + 1), meta)[values[::-1]]
     if opaque is not None:
