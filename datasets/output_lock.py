@@ -93,7 +93,7 @@ class OutputLock:
             if kept and isinstance(error, Unfinished):
                 raise Unfinished(f"{error}; {kept}", error.code) from None
             if kept:
-                log.warning(kept)
+                log.error(kept)  # where somebody's data went is said to -q too
             raise
         finally:
             with suppress(OSError):
@@ -103,7 +103,7 @@ class OutputLock:
     def spare(self) -> None:
         """Set aside a bag or a session that a killed process left."""
         if self._worth_saving():
-            log.warning("what an unfinished command left is now in %s", _way_out(self._set_aside()))
+            log.error("what an unfinished command left is now in %s", _way_out(self._set_aside()))
             before, self._mark = self._mark, self._acquired()
             _close(before)
 

@@ -17,6 +17,7 @@ from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.output_rules import MARKER
 from turtlebag.datasets.outputs import sha256_tree, staged_file, staged_output, write_manifest
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 
 
 def png(**texts):
@@ -392,6 +393,18 @@ def test_a_command_that_is_refused_leaves_what_a_killed_one_left(tmp_path, growi
     growing.wait()
     assert main(["map", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert (tmp_path / "out.partial" / "a").exists()
+
+
+def test_where_a_killed_session_went_is_said_to_q_too(tmp_path, growing, capsys):
+    growing.kill()
+    growing.wait()
+    (tmp_path / "out.partial" / "session.yaml").write_text("version: 1\n")
+    with verbosity_kept():
+        set_verbosity(-1)
+        with staged_output(tmp_path / "out"):
+            pass
+    assert f"is now in {tmp_path / 'out.unfinished'} " in capsys.readouterr().err
+    assert (tmp_path / "out.unfinished" / "session.yaml").exists()
 
 
 def test_what_a_killed_process_had_replaced_is_removed_by_the_next_and_no_earlier(tmp_path):
