@@ -24,10 +24,10 @@ from turtlebag.pipeline.navigation.drivers import (
     make_mapless,
     make_navigator,
 )
+from turtlebag.pipeline.navigation.goal_states import State
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.teleop_override import load_script
 from turtlebag.pipeline.terminal.messages import log_notes, note_degrees
@@ -180,7 +180,7 @@ def make_driver(
     if mission.grid is None or mission.costmap is None:
         return make_mapless(kit, T_odom_base, sequence), None, sequence
     wiggles = request.initial_pose is not None and (request.wiggle or request.initial_pose == "global")
-    state = State.WIGGLE if wiggles else State.DRIVE
+    state = State.WIGGLE if wiggles else State.WAIT
     driver, localiser = make_navigator(kit, mission.grid, mission.costmap, sequence, state)
     localiser.tell(request.initial_pose, T_odom_base)
     publisher.map(first.stamp_ns, mission.grid)

@@ -20,12 +20,13 @@ from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.goal_runner import Tools
+from turtlebag.pipeline.navigation.goal_states import Machine, State
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.pose_watch import PoseWatch
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
-from turtlebag.pipeline.navigation.relocalisation_states import RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.control.controller import Controller
@@ -70,7 +71,7 @@ class Kit:
 
 
 def make_navigator(
-    kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.DRIVE
+    kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.WAIT
 ) -> tuple[NavigationDriver, OnlineLocaliser]:
     """A driver on a map, and its localiser, not yet initialised."""
     config, robot = kit.config, kit.robot
@@ -83,7 +84,7 @@ def make_navigator(
     # The stream's name is part of the seed: another name would be other random numbers.
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))
     relocaliser = Relocaliser(
-        RelocalisationStates(config.relocalise, state),
+        PoseWatch(config.relocalise, Machine(state)),
         localiser,
         aliasing,
         tools,

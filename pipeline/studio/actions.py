@@ -85,7 +85,7 @@ def pose_estimate(run: Run, action: inputs.At) -> str:
     navigation, loaded = _on_map(run, "pose_estimate")
     pose = SE2.from_xyt(*action.pose)
     require_on_map("pose_estimate", pose, navigation.tools.obstacles.static, loaded.path)
-    navigation.told(pose, run.observation.odometry.T_odom_base)
+    navigation.locate(pose, run.observation.odometry.T_odom_base)
     run.shared.trails.frame_changed()
     x, y, yaw = action.pose
     return f"initial pose {x:.2f}, {y:.2f}, {yaw:.2f}"
@@ -95,7 +95,7 @@ def localise_global(run: Run, action: inputs.Plain) -> str:
     """Start global localisation."""
     navigation, loaded = _on_map(run, "localise_global")
     require_floor(loaded.grid, loaded.path)
-    navigation.told("global", run.observation.odometry.T_odom_base)
+    navigation.locate("global", run.observation.odometry.T_odom_base)
     run.shared.trails.frame_changed()
     return "global localisation: the robot may be anywhere on the map"
 
