@@ -139,12 +139,12 @@ def _places(request: Request) -> WaypointFile:
         return WaypointFile((Waypoint(request.goal, "", (x, y, yaw)),))
     if request.waypoints_path is None:
         return tutorial_patrol()
-    found = load_waypoints(request.waypoints_path)
-    log_notes(found.notes)
-    for number, waypoint in enumerate(found.waypoints, start=1):
+    places = load_waypoints(request.waypoints_path)
+    log_notes(places.notes)
+    for number, waypoint in enumerate(places.waypoints, start=1):
         if waypoint.T_map_goal is not None:
             note_degrees(f"waypoint {number}", waypoint.written[2])
-    return found
+    return places
 
 
 def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:

@@ -56,7 +56,7 @@ class Suspension(StrEnum):
     BLIND = "blind"
     """The lidar is silent."""
     NO_POSE = "no_pose"
-    """The robot was given no initial pose."""
+    """There is no initial pose."""
 
 
 class Event(StrEnum):

@@ -12,7 +12,7 @@ from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
 from turtlebag.pipeline.navigation.goal_states import Action, Event, Machine, State, Suspension
-from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch
+from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.goal_checker import STOPPED_V
@@ -29,13 +29,18 @@ class NavigationDriver(Driver):
     """Drives on a map, or mapless without a `relocaliser`."""
 
     def __init__(
-        self, tools: Tools, sensing: Sensing, sequence: GoalSequence, relocaliser: Relocaliser | None = None
+        self,
+        tools: Tools,
+        sensing: Sensing,
+        sequence: GoalSequence,
+        memory: ObstacleMemory,
+        relocaliser: Relocaliser | None = None,
     ) -> None:
         super().__init__(sensing)
         self.tools, self.sequence, self.relocaliser = tools, sequence, relocaliser
         self.machine = Machine() if relocaliser is None else relocaliser.machine
         self.machine.perform = self._perform
-        self._moving = MovingWatch(tools.model)
+        self._memory = memory
         self._runner: GoalRunner | None = None
         self._goal: SE2 | None = None
         self._doubts = 0  # how often the goal only seemed to have ended
@@ -51,7 +56,7 @@ class NavigationDriver(Driver):
             self.sequence.close_all("rejected", "no initial pose", now)
             return self._stop(Suspension.NO_POSE, finished=True)
         if relocaliser is not None and sweep is not None:
-            self._moving.observe(sweep)
+            self._memory.observe(sweep)
         if self.sensing.blind:
             return self._wait_for_scan(now)
         if relocaliser is not None:
@@ -138,7 +143,7 @@ class NavigationDriver(Driver):
         T_map_odom = relocaliser.localiser.T_map_odom or SE2.identity()
         if drive is not None and observation.scan is not None and sweep is not None:
             self._see(sweep, T_map_odom, drive.tools.obstacles)
-        tick = self._tick(observation, T_map_odom @ T_odom_base, stop=self._moving.stops(T_odom_base))
+        tick = self._tick(observation, T_map_odom @ T_odom_base, stop=self._memory.stops(T_odom_base))
         self.state, self._last = state.value, relocaliser.command(tick, T_odom_base, sweep)
         return self._last
 
@@ -175,7 +180,7 @@ class NavigationDriver(Driver):
                 return self._stop(State.WAIT)
             self._runner = GoalRunner(tools, goal, tools.seed + 1_000_000 * self.sequence.index, machine)
             machine.on(Event.GOAL)
-        stop = self._moving.stops(observation.odometry.T_odom_base)
+        stop = self._memory.stops(observation.odometry.T_odom_base)
         self._last, verdict = self._runner.step(self._tick(observation, pose, stop=stop))
         self.state = self._runner.state
         if verdict is not None:
