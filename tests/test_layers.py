@@ -144,7 +144,7 @@ def test_nobody_who_drives_reads_the_truth():
     for name, readers in may.items():
         assert {path.name for path in folder.rglob("*.py") if name in names_read(path)} == readers
     # In the studio those who write it down and those who draw it; not what drives, nor what an input does.
-    drawn = {"run_log.py", "publisher.py", "run.py", "session.py", "socket_messages.py"}
+    drawn = {"run_log.py", "publisher.py", "robot.py", "socket_messages.py"}
     for path in (ROOT / "pipeline/studio").rglob("*.py"):
         assert path.name in drawn or not names_read(path) & set(may), path.relative_to(ROOT)
     for package in ("planners", "pipeline/localisation", "pipeline/slam"):
