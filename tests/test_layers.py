@@ -94,6 +94,19 @@ def test_no_imports_go_round_in_a_circle():
     TopologicalSorter(graph).prepare()  # CycleError names the circle
 
 
+def scripts(page: Path) -> dict[str, set[str]]:
+    """The scripts of a page, and which of them each imports."""
+    name = re.compile(r"""(?:from|import)\s*\(?\s*["']\./([\w.]+)["']""")
+    return {path.name: set(name.findall(path.read_text())) for path in page.glob("*.js")}
+
+
+def test_no_scripts_of_a_page_import_each_other_in_a_circle():
+    graph = scripts(ROOT / "pipeline/studio/static")
+    assert len(graph["main.js"]) > 9
+    assert set().union(*graph.values()) <= set(graph)
+    TopologicalSorter(graph).prepare()  # CycleError names the circle
+
+
 def test_every_package_is_installed():
     told = re.findall(r'^    "(turtlebag[\w.]*)"', (ROOT / "pyproject.toml").read_text(), re.M)
     folders = {path.parent.relative_to(ROOT).as_posix() for path in SOURCES if path.name == "__init__.py"}

@@ -26,7 +26,7 @@ from turtlebag.pipeline.studio.inputs import LONGEST_BAG_S
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
 from turtlebag.pipeline.studio.setup import BagSetup
-from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, View
+from turtlebag.pipeline.studio.view import BagMarks, Level, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.visuals import Cached, EventLog, Trail
 from turtlebag.sim.robots import stamp_of
 
@@ -108,17 +108,12 @@ class Playback:
         self._trails = {"odom": Trail(), "slam": Trail()}
         self._cached = Cached()
         for note in self._log.notes:
-            self._events.add(0, note)
+            self.say(note)
 
     @property
     def stamp_ns(self) -> int:
         """Simulated time since the session began [ns]."""
         return stamp_of(self._step)
-
-    @property
-    def shown_ns(self) -> int:
-        """The time that the event log gives [ns]: that of the bag."""
-        return self._head.position_ns
 
     @property
     def idle(self) -> bool:
@@ -132,7 +127,7 @@ class Playback:
         if self.idle or self._step % DRAWN_EVERY == 0:
             self._draw()
         if self.idle:
-            self._events.add(self.shown_ns, "the bag is at its end")
+            self.say("the bag is at its end")
 
     def interrupt(self) -> None:
         """Break off the mapping of the whole bag that may be under way; called from another thread."""
@@ -148,10 +143,11 @@ class Playback:
         """How much of the bag was played."""
         return {"scans": len(self._log), "played": self._head.scan + 1}
 
-    def close(self) -> None:
-        """All files are finished already."""
+    def say(self, text: str, level: Level = "info") -> None:
+        """A line for the event log, at the time of the bag."""
+        self._events.add(self._head.position_ns, text, level)
 
-    def abandon(self, failure: type[BaseException]) -> None:
+    def close(self, failure: type[BaseException] | None = None) -> None:
         """All files are finished already."""
 
     def act(self, entry: inputs.Input) -> str:
@@ -254,7 +250,7 @@ class Playback:
         for added, loop in zip(self._edits.add, result.loops, strict=False):
             if not loop.accepted:
                 text = f"scan {added.scan} at scan {added.place}: not joined: {loop.verdict}"
-                self._events.add(self.shown_ns, text, "warning")
+                self.say(text, "warning")
                 refused += 1
         told = f"{result.check.verdict} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
         return f"{told}; {refused} of the added loops rejected" if refused else told
@@ -263,7 +259,7 @@ class Playback:
         """Save the map of the whole bag, built first if the loop edits have changed."""
         self._library.check_name(name)
         if self._built is None or self._built.edits != self._edits:
-            self._events.add(self.shown_ns, self._build())
+            self.say(self._build())
         assert self._built is not None
         self._library.save_map(name, self._built.layer.grid, ())
         return f"map {name} saved"

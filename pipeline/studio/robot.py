@@ -109,11 +109,6 @@ class Robot:
         return stamp_of(self._step)
 
     @property
-    def shown_ns(self) -> int:
-        """The time that the event log gives [ns]."""
-        return self.stamp_ns
-
-    @property
     def T_map_base(self) -> SE2:
         """The estimated pose; by odometry alone until there is a better one."""
         return self.pilot.T_map_odom @ self.observation.odometry.T_odom_base
@@ -180,14 +175,11 @@ class Robot:
     def interrupt(self) -> None:
         """Nothing takes long."""
 
-    def close(self) -> None:
-        """Finish the files of the run; closing twice is harmless."""
-        self.run_log.close()
-        self.simulator.close()
-
-    def abandon(self, failure: type[BaseException]) -> None:
-        """Close the bag that is recorded as far as it can be after a failure."""
-        if self.recording is not None:
+    def close(self, failure: type[BaseException] | None = None) -> None:
+        """Finish the files of the run; after a failure, the open bag as far as it goes."""
+        if failure is None:
+            self.run_log.close()
+        elif self.recording is not None:
             self.recording[1].__exit__(failure)
         self.simulator.close()
 

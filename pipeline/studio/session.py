@@ -31,14 +31,14 @@ class Session:
         InputError for unknown names, and for a map or a bag that cannot be used.
         """
         self.scene = setup.scene()
-        self._folder, self._events = folder, EventLog(say)
+        self._folder = folder
         self._subject: Robot | Playback
         self._act: Callable[[Input], str]
         if isinstance(setup, BagSetup):
-            self._subject = playback = Playback(setup, folder, self._events)
+            self._subject = playback = Playback(setup, folder, EventLog(say))
             self._act = playback.act
         else:
-            self._subject = robot = Robot(setup, folder, self._events)
+            self._subject = robot = Robot(setup, folder, EventLog(say))
             self._act = partial(act, robot)
         self._journal = Journal(folder / FILE, setup.header())
         self.ended = False
@@ -51,7 +51,7 @@ class Session:
         if kind is None:
             self.close()
         else:
-            self._subject.abandon(kind)
+            self._subject.close(kind)
 
     def close(self) -> None:
         """Finish all files; closing twice is harmless."""
@@ -82,7 +82,7 @@ class Session:
         if entry.do not in DRIVING:
             self._journal.action(self.stamp_ns, entry)
         if line:
-            self._events.add(self._subject.shown_ns, line)
+            self._subject.say(line)
         return line
 
     def tick(self) -> None:
