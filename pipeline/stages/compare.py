@@ -14,11 +14,11 @@ from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of
 from turtlebag.pipeline.stages.requests.options import flag_of
 from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
-from turtlebag.reports.content import BAD, GOOD
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
+from turtlebag.reports.verdicts import BAD, GOOD
 
 
 def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
@@ -57,7 +57,7 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
         draw_comparison(*stages, album)
         page = fill("compare.html.j2", **names, found=found, pictures=album.pictures, **told)
         (folder / "index.html").write_text(page)
-        metrics = {row.path: row.values for row in found.rows}
+        metrics = {row.spec.path: row.values for row in found.rows}
         out.finish(folder, "compare", {"A": a, "B": b}, metrics=metrics)
     return found
 

@@ -12,7 +12,7 @@ from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.other_systems import for_manifest, inputs_of, measured_in
 from turtlebag.pipeline.terminal.messages import drawing
-from turtlebag.reports.content import BAD, GOOD, build_chapter
+from turtlebag.reports.content import build_chapter
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.foxglove_layout import viewer_layouts
 from turtlebag.reports.grouping import group_stages
@@ -22,6 +22,7 @@ from turtlebag.reports.page import fill, render
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import compare_systems, write_pairs
 from turtlebag.reports.tables import write_tables
+from turtlebag.reports.verdicts import BAD, GOOD
 
 
 def make_report(

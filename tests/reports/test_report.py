@@ -16,13 +16,14 @@ from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.reports.compare import command_of
-from turtlebag.reports.content import collision_count, verdict
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.kinds import verdict
 from turtlebag.reports.metric_specs import SECTIONS
 from turtlebag.reports.numbers import sections_of, shown
 from turtlebag.reports.provenance import FLAGS, TAKE_A_PATH, recipe, rename
 from turtlebag.reports.stages import Group, Input, Manifest, Stage, changed_files, load_stage
+from turtlebag.reports.verdicts import collision_count
 
 
 @pytest.fixture(scope="module")

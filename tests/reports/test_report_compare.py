@@ -36,7 +36,7 @@ def test_only_what_differs_is_called_different(tree):
     assert found.settings == [("front.sigma", "0.005", "0.02")]
     assert "map.pgm" in found.same_bytes
     assert "trajectory.tum" in found.changed
-    rows = {row.path: row for row in found.rows}
+    rows = {row.spec.path: row for row in found.rows}
     assert rows["scans"].difference == "="
     assert rows["ate_m.rmse"].mood == "bad"
     assert rows["ate_m.rmse"].difference.startswith("+")
@@ -44,7 +44,7 @@ def test_only_what_differs_is_called_different(tree):
 
 
 def test_the_other_way_round_bad_becomes_good(tree):
-    rows = {row.path: row for row in compare_outputs(tree / "b", tree / "a").rows}
+    rows = {row.spec.path: row for row in compare_outputs(tree / "b", tree / "a").rows}
     assert rows["ate_m.rmse"].mood == "good"
     assert rows["ate_m.rmse"].difference.startswith("\u2212")
 
