@@ -17,10 +17,10 @@ from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Scan, Stamps, Trajectory
-from turtlebag.pipeline.slam.growing_log import heard
-from turtlebag.pipeline.slam.loop_edits import AddedLoop, Edits, KeyEdits, RejectedLoop
-from turtlebag.pipeline.slam.mapper import Mapper
-from turtlebag.pipeline.slam.slam import run_slam
+from turtlebag.pipeline.slam.graph.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
+from turtlebag.pipeline.slam.mapper import run_slam
+from turtlebag.pipeline.slam.online.log import heard
+from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.inputs import LONGEST_BAG_S
 from turtlebag.pipeline.studio.library import Library

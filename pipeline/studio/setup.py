@@ -14,7 +14,7 @@ from turtlebag.datasets.outputs import sha256_file, sha256_tree
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.studio.journal import BagHeader, Header
 from turtlebag.pipeline.studio.view import Scene
 from turtlebag.sim.robots import RobotSpec, load_robot
