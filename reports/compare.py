@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +19,6 @@ from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.map import walls_in
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import Row, leaves, lookup, shown
-from turtlebag.reports.provenance import renamed
 from turtlebag.reports.stages import Group, Stage
 from turtlebag.reports.verdicts import BAD, GOOD, NEUTRAL
 
@@ -74,7 +71,6 @@ class Comparison:
     settings: list[tuple[str, str, str]]
     same_bytes: list[str]
     changed: list[str]
-    commands: tuple[str, str]
     same_source: bool | None
 
 
@@ -93,19 +89,10 @@ def compare(a: Stage, b: Stage) -> Comparison:
     files = sorted(set(a.manifest.outputs) & set(b.manifest.outputs))
     same = [path for path in files if a.manifest.outputs[path] == b.manifest.outputs[path]]
     settings = changed_settings(a.config, b.config)
-    commands = command_of(a, "A"), command_of(b, "B")
     known = all("source" in stage.manifest.inputs for stage in (a, b))
     source = same_input(a, b) if known else None
     verdicts = verdict(a, metrics_a), verdict(b, metrics_b)
-    return Comparison(verdicts, rows, settings, same, sorted(set(files) - set(same)), commands, source)
-
-
-def command_of(stage: Stage, name: str) -> str:
-    """The command that made a stage, its output called `name`, of absolute paths the last part only."""
-    out = stage.option("out")
-    names = {} if out is None else {out.rstrip("/"): name}
-    words = renamed(stage.command, names)
-    return shlex.join(re.sub(r"^(--[\w-]+=)?/.*/(?=[^/])", r"\1", word) for word in words)
+    return Comparison(verdicts, rows, settings, same, sorted(set(files) - set(same)), source)
 
 
 def _number(value: Any) -> float | None:

@@ -19,8 +19,6 @@ from turtlebag.reports.kinds import KINDS
 from turtlebag.reports.metric_specs import GOAL_NUMBERS, SPECS
 from turtlebag.reports.metrics.navigation import goal_counts
 from turtlebag.reports.numbers import lookup, shown
-from turtlebag.reports.provenance import packages, recipe
-from turtlebag.reports.stages import Group
 from turtlebag.reports.verdicts import BAD, GOOD, GOOD_WALLS, NEUTRAL, collision_count, overall_mood
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
@@ -45,8 +43,8 @@ class Tile:
     number: float | None = None
 
 
-def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
-    """The report's page as HTML text."""
+def render(chapters: Sequence[Chapter], steps: Sequence[object], packages: Sequence[tuple[str, str]]) -> str:
+    """The report's page as HTML text; `steps` and `packages` say how to make its numbers again."""
     mood, headline = overall(chapters)
     return fill(
         "report.html.j2",
@@ -54,8 +52,8 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         mood=mood,
         headline=headline,
         tiles=tiles(chapters),
-        steps=recipe(groups),
-        packages=packages(groups),
+        steps=steps,
+        packages=packages,
         words=WORDS,
         goal_numbers=GOAL_NUMBERS,
         planner_numbers=SPECS["plan"],

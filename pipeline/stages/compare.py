@@ -11,6 +11,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of, systems_of
+from turtlebag.pipeline.stages.recipe import command_of
 from turtlebag.pipeline.stages.requests.options import flag_of
 from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
@@ -51,7 +52,8 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
         return found
     names = {"name_a": f"A: {a.resolve().name}", "name_b": f"B: {b.resolve().name}"}
     moods = [row.mood for row in found.rows]
-    told = {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
+    told = {"commands": [command_of(stage, name) for stage, name in zip(stages, "AB", strict=True)]}
+    told |= {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
     with out.staged() as folder:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)

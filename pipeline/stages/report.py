@@ -11,6 +11,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.other_systems import for_manifest, inputs_of, measured_in
+from turtlebag.pipeline.stages.recipe import packages, recipe
 from turtlebag.pipeline.terminal.messages import drawing
 from turtlebag.reports.content import build_chapter
 from turtlebag.reports.figures.album import Album
@@ -53,7 +54,7 @@ def make_report(
                 shown = compare_systems(systems, known, album, f"{chapters[0].anchor}-systems")
                 chapters = [replace(chapters[0], systems=shown)]
                 write_pairs(systems, partial / "systems")
-        (partial / "index.html").write_text(render(chapters, groups))
+        (partial / "index.html").write_text(render(chapters, recipe(groups), packages(groups)))
         write_tables(chapters, partial / "tables")
         stages = [stage for group in groups for stage in group.stages]
         for name, layout in viewer_layouts(stages).items():
