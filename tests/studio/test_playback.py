@@ -13,7 +13,7 @@ from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.playback import Playback
+from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup
 
 
@@ -24,13 +24,13 @@ def bag(tmp_path_factory):
 
 @pytest.fixture
 def played(bag, tmp_path):
-    with Playback(BagSetup(bag), tmp_path, lambda line: None) as one:
+    with Session(BagSetup(bag), tmp_path, lambda line: None) as one:
         yield one
 
 
 @pytest.fixture
 def with_loops(bag, tmp_path):
-    with Playback(BagSetup(bag), tmp_path, lambda line: None, WITH_LOOPS) as one:
+    with Session(BagSetup(bag, WITH_LOOPS), tmp_path, lambda line: None) as one:
         yield one
 
 
