@@ -26,7 +26,7 @@ from turtlebag.datasets.relations import load_relations
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.sim.simulator import Sensors

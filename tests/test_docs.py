@@ -21,8 +21,8 @@ from turtlebag.datasets.yaml_files import load_model
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.cli.main import VERBS, joined
 from turtlebag.pipeline.navigation.teleop_override import load_script
-from turtlebag.pipeline.slam.loop_edits import load_edits
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.graph.edits import load_edits
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.planners.tasks.waypoints import load_waypoints

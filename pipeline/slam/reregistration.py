@@ -13,19 +13,19 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.cloud_parts import chosen, joined_clouds
-from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.correspondences import FINE, Limits
-from turtlebag.pipeline.slam.point_to_line_icp import (
+from turtlebag.datasets.threads import in_parts
+from turtlebag.pipeline.slam.graph.pose_graph import Poses, relative
+from turtlebag.pipeline.slam.odometry.track import Track
+from turtlebag.pipeline.slam.scans.align import (
     LEAST_OVERLAP,
     MOST_POINTS,
     NEIGHBOURS,
     Prior,
     align_kernel,
 )
-from turtlebag.pipeline.slam.pose_graph import Poses, relative
-from turtlebag.pipeline.slam.threads import in_parts
-from turtlebag.pipeline.slam.track import Track
+from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.correspondences import FINE, Limits
+from turtlebag.pipeline.slam.scans.parts import chosen, joined_clouds
 
 # Scans whose points are computed together; this takes several times their size in memory.
 SCANS_AT_ONCE = 2000

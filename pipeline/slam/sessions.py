@@ -11,32 +11,20 @@ from numpy.typing import NDArray
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
-from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places
-from turtlebag.pipeline.slam.range_calibration import RangeCalibration
+from turtlebag.pipeline.slam.graph.factors import Constraint, Graph
+from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places
+from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.loops.submaps import windows
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
+from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.reregistration import carried_poses
-from turtlebag.pipeline.slam.submaps import windows
-from turtlebag.pipeline.slam.track import Track
-from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks
+from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans
+from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 
 STEPS = ("step", "odometry", "steady")
 """Kinds of constraints along the log."""
 BORDER = np.diag([25.0, 25.0, 100.0])
 """Information of the constraint between two sessions: 0.2 m and 0.1 rad."""
-
-
-@dataclass(frozen=True, eq=False)
-class Graph:
-    """The graph of a session: key poses, constraints (those over bridged breaks without weight), records of
-    all loop candidates, and the breaks of the log that no loop bridges (keys - 1,)."""
-
-    T_map_keys: SE2
-    constraints: list[Constraint]
-    loops: list[Loop]
-    recognised: list[Loop]
-    unbridged: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,13 +15,13 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
-from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
-from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.joint_refinement import RefineConfig
-from turtlebag.pipeline.slam.loop_closure import Progress
-from turtlebag.pipeline.slam.point_to_line_icp import CAUCHY
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.refinement import RefineConfig
+from turtlebag.pipeline.slam.loops.closure import Progress
+from turtlebag.pipeline.slam.mapper import Sensors, no_progress
+from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE
 from turtlebag.pipeline.slam.reregistration import carried_poses
-from turtlebag.pipeline.slam.slam import Sensors, no_progress
+from turtlebag.pipeline.slam.scans.align import CAUCHY
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
 from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Places

@@ -13,7 +13,7 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.teleop_override import Script
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import Drive, Input, Plain
 from turtlebag.pipeline.studio.journal import load_session

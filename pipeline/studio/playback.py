@@ -17,10 +17,10 @@ from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Scan, Stamps, Trajectory
-from turtlebag.pipeline.slam.growing_log import heard
-from turtlebag.pipeline.slam.loop_edits import AddedLoop, Edits, KeyEdits, RejectedLoop
-from turtlebag.pipeline.slam.mapper import Mapper
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.graph.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.online.log import heard
+from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of

@@ -10,7 +10,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
 
 

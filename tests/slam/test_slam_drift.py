@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.drift import ANYWHERE, HONEST, drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.pairwise_consistency import consistency
+from turtlebag.pipeline.slam.graph.drift import ANYWHERE, HONEST, drift_of, reach, read_at
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.loops.consistency import consistency
 
 SIGMA = np.array([0.02, 0.03, 0.01])
 

@@ -8,9 +8,9 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import explain
-from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
-from turtlebag.pipeline.slam.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.odometry.calibration import Calibration
 
 KEYS = np.array([0, 4, 9, 15])
 POSES = SE2(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.3], [2.0, 0.2, -0.5], [2.5, 1.5, 2.0]]))

@@ -11,23 +11,18 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, random_poses, record
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.cloud_parts import joined_clouds
-from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.check.selfcheck import contradicted_keys, hypothesis_shares, revisits_of
 from turtlebag.pipeline.slam.explain import candidate
-from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.joint_refinement import (
-    RADIUS_M,
-    RefineConfig,
-    overlapping_pairs,
-    partner_radius,
-    refine,
-)
-from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, optimise, write_g2o
+from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
+from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track
 from turtlebag.pipeline.slam.reregistration import carried_poses
-from turtlebag.pipeline.slam.selfcheck import contradicted_keys, hypothesis_shares, revisits_of
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs, partner_radius
+from turtlebag.pipeline.slam.scans.parts import joined_clouds
 from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
-from turtlebag.pipeline.slam.track import HYPOTHESES, Track
 
 
 def place(i, j, T_j_i, overlap=0.8):

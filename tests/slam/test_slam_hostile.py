@@ -15,15 +15,15 @@ from tests.helpers.made_logs import blinded, clock_back, hall, office_plan, shak
 from tests.helpers.made_logs import office as made_office
 from tests.helpers.slam_rooms import recording, rectangle
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.icp_odometry import Lines
-from turtlebag.pipeline.slam.joint_refinement import refine
-from turtlebag.pipeline.slam.pose_graph import optimise
-from turtlebag.pipeline.slam.selfcheck import contradicted_keys
-from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam, step_constraints
-from turtlebag.pipeline.slam.track import TrackingConfig
-from turtlebag.pipeline.slam.tracker import track_log
+from turtlebag.pipeline.slam.check.selfcheck import contradicted_keys
+from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.pose_graph import optimise
+from turtlebag.pipeline.slam.graph.refinement import refine
+from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam, step_constraints
+from turtlebag.pipeline.slam.odometry.line_icp import Lines
+from turtlebag.pipeline.slam.odometry.track import TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import track_log
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 
 WHEELS = Wheels(0.02, -0.03, 0.003)
 ROUTE = [

@@ -14,8 +14,9 @@ from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.occupancy import (
+from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, optimise
+from turtlebag.pipeline.slam.grid import (
     Counts,
     OccupancyConfig,
     beam_lengths,
@@ -24,8 +25,7 @@ from turtlebag.pipeline.slam.occupancy import (
     make_grid,
     trace,
 )
-from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.trajectory import ate
 

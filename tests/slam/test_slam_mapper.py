@@ -8,21 +8,21 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Trajectory
-from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
-from turtlebag.pipeline.slam.drift import HONEST
-from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
-from turtlebag.pipeline.slam.growing_log import GrowingLog, heard
-from turtlebag.pipeline.slam.growing_loops import GrowingLoops
-from turtlebag.pipeline.slam.isam2_graph import GrowingGraph, joined, without
-from turtlebag.pipeline.slam.loop_search import LoopConfig, step_lengths
-from turtlebag.pipeline.slam.mapper import Kept, Mapper
-from turtlebag.pipeline.slam.pose_graph import optimise
-from turtlebag.pipeline.slam.range_noise import RangeNoise
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.track import TrackingConfig
-from turtlebag.pipeline.slam.tracker import Tracker, track_log
-from turtlebag.pipeline.slam.wheel_odometry import Wheels
+from turtlebag.pipeline.slam.graph.drift import HONEST
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.isam2 import GrowingGraph, joined, without
+from turtlebag.pipeline.slam.graph.pose_graph import optimise
+from turtlebag.pipeline.slam.loops.by_distance import LoopConfig, step_lengths
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.odometry.track import TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import Tracker, track_log
+from turtlebag.pipeline.slam.odometry.wheels import Wheels
+from turtlebag.pipeline.slam.online.clouds import GrowingClouds
+from turtlebag.pipeline.slam.online.log import GrowingLog, heard
+from turtlebag.pipeline.slam.online.loops import GrowingLoops
+from turtlebag.pipeline.slam.online.mapper import Kept, Mapper
+from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
+from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
 
 TRUE = around_the_room(240, laps=3)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))

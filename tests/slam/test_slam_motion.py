@@ -14,15 +14,15 @@ from turtlebag.datasets.grid import OCCUPIED
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
-from turtlebag.pipeline.slam.calibration import calibrate
-from turtlebag.pipeline.slam.clouds import make_clouds, sweep_motion
-from turtlebag.pipeline.slam.correspondences import Limits
-from turtlebag.pipeline.slam.icp_odometry import Lines
-from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
-from turtlebag.pipeline.slam.point_to_line_icp import Prior, align
+from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
+from turtlebag.pipeline.slam.odometry.calibration import calibrate
+from turtlebag.pipeline.slam.odometry.line_icp import Lines
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.reregistration import ReregistrationConfig, pose_all_scans
-from turtlebag.pipeline.slam.track import OdometryNoise, TrackingConfig
-from turtlebag.pipeline.slam.tracker import track_log
+from turtlebag.pipeline.slam.scans.align import Prior, align
+from turtlebag.pipeline.slam.scans.clouds import make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 from turtlebag.pipeline.stages.localise import sweep_ends
 
 SWEEP_S = 0.2

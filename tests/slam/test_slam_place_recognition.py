@@ -13,13 +13,9 @@ from tests.helpers.made_drives import Drive, FloorPlan, Sensor, Wheels, make_log
 from tests.helpers.made_logs import WHEELS, interval, office_plan, without
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between
-from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
-from turtlebag.pipeline.slam.drift import HONEST, drift_of
-from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency
-from turtlebag.pipeline.slam.place_recognition import (
+from turtlebag.pipeline.slam.graph.drift import HONEST, drift_of
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.loops.by_appearance import (
     PlaceRecognitionConfig,
     accepted_sets,
     join_parts,
@@ -27,10 +23,10 @@ from turtlebag.pipeline.slam.place_recognition import (
     recognise_places,
     submap_searches,
 )
-from turtlebag.pipeline.slam.point_to_line_icp import Alignment
-from turtlebag.pipeline.slam.range_noise import SIGMAS
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.submaps import (
+from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency
+from turtlebag.pipeline.slam.loops.matchers import LineMatch
+from turtlebag.pipeline.slam.loops.submaps import (
     HEADINGS,
     MOST_SHIFT,
     RESOLUTION_M,
@@ -40,7 +36,11 @@ from turtlebag.pipeline.slam.submaps import (
     similarity,
     windows,
 )
-from turtlebag.pipeline.slam.track_breaks import TrackBreaks
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
+from turtlebag.pipeline.slam.scans.align import Alignment
+from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
+from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 
 
 @cache

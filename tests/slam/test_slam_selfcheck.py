@@ -9,17 +9,17 @@ from benchmarks.known_logs import integrate
 from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
-from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.occupancy import Certainty
-from turtlebag.pipeline.slam.odometry_trust import distrusted
-from turtlebag.pipeline.slam.range_calibration import RangeCalibration
-from turtlebag.pipeline.slam.selfcheck import check_map, slides
-from turtlebag.pipeline.slam.sessions import Graph, Session
-from turtlebag.pipeline.slam.step_constraints import step_constraints
-from turtlebag.pipeline.slam.track import OdometryNoise, Track, TrackingConfig
-from turtlebag.pipeline.slam.track_breaks import TrackBreaks
+from turtlebag.pipeline.slam.check.selfcheck import check_map, slides
+from turtlebag.pipeline.slam.graph.factors import Constraint, Graph
+from turtlebag.pipeline.slam.grid import Certainty
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
+from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.steps import step_constraints
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.trust import distrusted
+from turtlebag.pipeline.slam.scans.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
+from turtlebag.pipeline.slam.sessions import Session
 
 NONE = np.zeros(0, dtype=np.int64)
 SURE = Certainty(0.1, 0.9)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam import map_uncertainty
-from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.drift import HONEST
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.map_uncertainty import ASKED, shared_errors
-from turtlebag.pipeline.slam.pose_graph import noise_model
-from turtlebag.pipeline.slam.track import Track
+from turtlebag.pipeline.slam.check import uncertainty as map_uncertainty
+from turtlebag.pipeline.slam.check.uncertainty import ASKED, shared_errors
+from turtlebag.pipeline.slam.graph.drift import HONEST
+from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.pose_graph import noise_model
+from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.track import Track
 
 
 def track_of(T, calibration):

@@ -17,7 +17,7 @@ from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver_setup import Request, prepare
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.metrics import goal_of
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.planners.tasks.patrol import GoalOutcome
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.reports.metrics.navigation import run_metrics

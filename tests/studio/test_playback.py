@@ -8,7 +8,7 @@ from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.slam.loop_edits import load_edits
+from turtlebag.pipeline.slam.graph.edits import load_edits
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output

@@ -8,7 +8,7 @@ from tests.studio.fakes import Served
 from tests.studio.page import click, drag, on_screen, open_page, shown_text, until
 from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.loop_edits import load_edits
+from turtlebag.pipeline.slam.graph.edits import load_edits
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.setup import BagSetup
 
