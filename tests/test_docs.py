@@ -177,6 +177,19 @@ def test_links_and_pictures_lead_to_files_that_are_there(page):
             assert (page.parent / target).exists(), target
 
 
+def headings(page):
+    """The anchors of a page's headings, as GitHub and the site name them."""
+    plain = re.sub(r"[`\[]|\]\([^)]*\)", "", BLOCK.sub("", page.read_text()))
+    names = re.findall(r"^#+ (.+)$", plain, re.M)
+    return {re.sub(r"[^\w\- ]", "", name.strip().lower()).replace(" ", "-") for name in names}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_anchors_are_headings_of_their_page(page):
+    for target, anchor in re.findall(r"\]\(([^)#:\s]*)#([^)]+)\)", page.read_text()):
+        assert anchor in headings(page.parent / target if target else page), f"{target}#{anchor}"
+
+
 def test_every_page_can_be_reached_from_the_index():
     seen, todo = set(), [ROOT / "docs/README.md"]
     while todo:
