@@ -1,4 +1,4 @@
-"""The state machine that drives a goal; docs/navigation.md has its diagram and its table.
+"""The state machine that drives a goal; docs/how-it-drives.md has its diagram and its table.
 
 Pure bookkeeping: it never sees a pose. States are nested: a transition of a state holds for all states
 inside it that have none of their own for the event.

@@ -16,7 +16,7 @@ from turtlebag.pipeline.navigation.goal_states import (
     lineage,
 )
 
-PAGE = (Path(__file__).parents[2] / "docs" / "navigation.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "how-it-drives.md").read_text()
 LEAVES = set(State) - set(INSIDE.values()) | {State.FOLLOW, State.RECOVER}
 
 
