@@ -153,7 +153,7 @@ OBSTACLES = [
 
 @pytest.mark.parametrize(("points", "reason"), OBSTACLES, ids=range(len(OBSTACLES)))
 def test_out_of_rings_of_obstacles_there_is_no_way(points, reason):
-    layer = RollingLayer(np.zeros(2), 8.0, RES, 1.0, Marking(known=0.0, hits=1, obstacle_range=9.0))
+    layer = RollingLayer(np.zeros(2), 8.0, RES, 1.0, Marking(wall_margin=0.0, hits=1, obstacle_range=9.0))
     layer.update(0.0, SE2.from_xyt(2.0, 2.0, 0.0), points, np.zeros((0, 2)))
     with pytest.raises(NoPath, match=f"^{reason}$"):
         layer.aim(SE2.identity(), SE2.from_xyt(9.0, 0.0, 0.0), 0.45)
