@@ -34,13 +34,12 @@ class PlanStageConfig(Settings, allow_inf_nan=False):
 
 
 class PlanMetrics(TypedDict, total=False):
-    """What is known of a plan: `space` of one of OMPL's, `reason` without a path, and of a path its length,
-    the least clearance of the footprint, the margin it was planned with [m] and how many poses it has.
-    `planners` are those that were compared."""
+    """A plan in numbers: `reason` without a path, and of a path its length, the least clearance of the
+    footprint, the margin it was planned with [m] and how many poses it has. `planners` are those that were
+    compared."""
 
     success: Required[bool]
     planner: Required[str]
-    space: str
     reason: str
     length_m: float
     min_clearance_m: float
@@ -160,8 +159,6 @@ def plan_metrics(
 ) -> PlanMetrics:
     """Length, clearance of the footprint along the path, and what found it."""
     metrics: PlanMetrics = {"success": found is not None, "planner": config.plan.name}
-    if not is_own(config.plan.planner):
-        metrics["space"] = config.plan.ompl.space
     if found is None:
         return {**metrics, "reason": reason}
     poses = np.ascontiguousarray((costmap.T_grid_map @ found.poses).xyt)
