@@ -25,7 +25,7 @@ from turtlebag.pipeline.slam.scans.align import (
 )
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import FINE, Limits
-from turtlebag.pipeline.slam.scans.parts import chosen, joined_clouds
+from turtlebag.pipeline.slam.scans.scans import joined_clouds
 
 # Scans whose points are computed together; this takes several times their size in memory.
 SCANS_AT_ONCE = 2000
@@ -65,7 +65,7 @@ def carried_poses(
 
 
 def pose_all_scans(
-    clouds: Callable[[], Clouds],
+    of_keys: Clouds,
     clouds_of: Callable[[NDArray[np.int64]], Clouds],
     track: Track,
     T_map_keys: SE2,
@@ -73,7 +73,8 @@ def pose_all_scans(
     gaps: NDArray[np.int64],
 ) -> tuple[SE2, Array]:
     """Poses (n,) of all scans in the map, and the share of each that lies on its surfaces (n,). Key scans
-    keep their refined poses. `clouds` and `clouds_of` are as in a session, `gaps` as in `carried_poses`."""
+    keep their refined poses. `of_keys` are their clouds, `clouds_of` is as in a session, `gaps` as in
+    `carried_poses`."""
     carried = carried_poses(track.T_track_base, track.keys, T_map_keys, gaps)
     if not config.enabled or len(track.keys) < 2:
         return carried, track.overlap
@@ -87,7 +88,6 @@ def pose_all_scans(
     scans = np.flatnonzero(~is_key & track.usable)
 
     by_lines = np.zeros(len(poses), dtype=bool)
-    of_keys = chosen(clouds(), track.keys)
     limits = FINE._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
 
     def aligned(some: NDArray[np.int64]) -> list[tuple[Array, Array]]:

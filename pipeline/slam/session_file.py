@@ -12,7 +12,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
-from functools import cache as once
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,8 @@ from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.clouds import KNOTS
-from turtlebag.pipeline.slam.scans.parts import among, clouds_maker
+from turtlebag.pipeline.slam.scans.range_noise import range_noise
+from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Session
 
@@ -200,10 +200,9 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
         stored["unbridged"],
     )
     breaks = TrackBreaks(*(stored[f"breaks_{f.name}"] for f in fields(TrackBreaks)))
-    keys, clouds_of = stored["track_keys"], clouds_maker(recording, usable, motion)
-    clouds = once(lambda: among(clouds_of(keys), keys, len(recording)))
-    learnt = RangeCalibration(**ranges)
-    return Session(recording, clouds, clouds_of, motion, Track(**track), breaks, graph, learnt), config
+    scans = Scans(recording, usable, range_noise(recording, usable), motion)
+    key_scans, learnt = scans.of_keys(stored["track_keys"]), RangeCalibration(**ranges)
+    return Session(recording, key_scans, scans.clouds, motion, Track(**track), breaks, graph, learnt), config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:

@@ -17,7 +17,7 @@ from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.trust import distrusted
-from turtlebag.pipeline.slam.scans.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans, make_clouds
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Session
 
@@ -31,7 +31,7 @@ def drive() -> tuple[Recording, Clouds, Track]:
     poses = around_the_room(60)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = dead_reckoning(log, clouds)
+    track = dead_reckoning(log)
     return log, clouds, replace(track, overlap=np.ones(60), information=np.tile(1e5 * np.eye(3), (60, 1, 1)))
 
 
@@ -47,7 +47,7 @@ def checked(log, clouds, track, T_keys, constraints, breaks=NONE, borders=NONE, 
     torn = TrackBreaks(no, np.isin(track.keys[1:], breaks), no, np.zeros((0, 2), dtype=np.int64))
     joined = [replace(c, kind="loop") if track.keys[c.j] in borders else c for c in constraints]
     graph = Graph(T_keys, joined, [], [], ~no)
-    session = Session(log, lambda: clouds, None, None, track, torn, graph, RangeCalibration())
+    session = Session(log, KeyScans(clouds, track.keys), None, None, track, torn, graph, RangeCalibration())
     return check_map(session, track.T_track_base, track.overlap, OdometryNoise(), certainty)
 
 
@@ -95,7 +95,7 @@ def test_a_room_drawn_twice_contradicts_itself(shift, doubled):
     poses = around_the_room(120, laps=2)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = replace(dead_reckoning(log, clouds), overlap=np.ones(120))
+    track = replace(dead_reckoning(log), overlap=np.ones(120))
     drawn = track.T_track_base[track.keys].xyt.copy()
     drawn[len(drawn) // 2 :] += [shift, 0.0, 0.0]
     found = checked(log, clouds, track, SE2(drawn), held(SE2(drawn), 1e-4))
@@ -135,7 +135,7 @@ def long_drive() -> tuple[Recording, Clouds, Track]:
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
     seen = np.tile(1e5 * np.eye(3), (500, 1, 1))
-    return log, clouds, replace(dead_reckoning(log, clouds), overlap=np.ones(500), information=seen)
+    return log, clouds, replace(dead_reckoning(log), overlap=np.ones(500), information=seen)
 
 
 @pytest.mark.slow

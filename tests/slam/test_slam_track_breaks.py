@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_parts, t
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
-from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 
 def breaks_at(n: int, broken: tuple[int, ...], against: tuple[int, ...]) -> TrackBreaks:
@@ -51,8 +51,7 @@ def scans_with_a_gap(odometry_agrees: bool, wait_s: int = 10) -> tuple[Recording
         late = SE2.from_xyt(5.0, 2.0, 1.0) @ odometry[30:]
         odometry = SE2(np.concatenate([odometry.xyt[:30], late.xyt]))
     log = Recording("gap", stamps, log.ranges, log.lidar, log.T_base_lidar, odometry)
-    scans = range(1, 60)
-    return log, track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, scans, Lines)
+    return log, track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
 
 
 @pytest.mark.parametrize("agrees", [True, False])
@@ -86,7 +85,7 @@ def test_after_a_gap_the_odometry_has_it_where_scans_fit_by_chance():
         ranges=np.vstack([log.ranges[:30], other.ranges[30:]]),
         T_odom_base=SE2(np.concatenate([odometry.xyt[:30], driven.xyt])),
     )
-    track = track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, 60), Lines)
+    track = track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
     off = track.T_track_base[29].inverse() @ track.T_track_base[30]
     off = between((log.T_odom_base[29].inverse() @ log.T_odom_base[30]).xyt, off.xyt)
     assert np.hypot(*off[:2]) < 0.5
@@ -106,7 +105,7 @@ def test_after_a_gap_wheels_that_were_wrong_before_and_scans_that_surely_fit_are
         odometry.append(compose(odometry[-1], step))
     log = recording(ROOM, poses, SICK, odometry=np.array(odometry))
     log = replace(log, stamps_ns=log.stamps_ns + np.where(np.arange(len(poses)) >= 30, 3 * 10**9, 0))
-    track = track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, len(poses)), Lines)
+    track = track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
     truth, found = (T[0].inverse() @ T for T in (SE2.from_array(poses), track.T_track_base))
     assert np.linalg.norm(truth.xy - found.xy, axis=1).max() < 0.1
 
@@ -136,7 +135,7 @@ def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, mov
     stamps = log.stamps_ns + np.where(np.arange(20) >= 10, wait_s * 10**9, 0)
     log = replace(log, stamps_ns=stamps)
     along = np.tile(np.diag([0.0, 1e4, 1e4]), (20, 1, 1))
-    track = dead_reckoning(log, make_clouds(log, 30.0))
+    track = dead_reckoning(log)
     keys = np.arange(20)
     blind = replace(track, keys=keys, information=along, overlap=np.ones(20), usable=np.ones(20, dtype=bool))
     assert track_breaks_of(log, blind).broken.sum() == broken

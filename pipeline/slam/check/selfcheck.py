@@ -61,7 +61,7 @@ def check_map(
     recording, borders, breaks = session.recording, session.borders, session.unconfirmed
     track, T_map_keys = replace(session.track, overlap=overlap), session.graph.T_map_keys
     pairs = revisits_of(T_map_keys)
-    share = free_space_violations(session.clouds(), track.keys, T_map_keys.xyt, pairs)
+    share = free_space_violations(*session.key_scans, T_map_keys.xyt, pairs)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
