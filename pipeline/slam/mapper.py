@@ -24,12 +24,11 @@ from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.closure import close_graph
-from turtlebag.pipeline.slam.odometry.breaks import track_breaks_of
+from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.odometry.trust import distrusted, jumps
 from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.reregistration import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.scans.clouds import USABLE_M
@@ -185,15 +184,16 @@ def tracked(recording: Recording, config: SlamConfig, progress: Progress) -> Ses
     log = heard(recording, config.sensors, config.front_end, deskew=config.deskew)
     usable = config.usable(log.lidar)
     log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
-    scans, track = follow(Scans.of(log, usable), config.tracking, make, progress)
+    scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
     ranges = range_errors(scans, track) if config.calibrate_ranges else RangeCalibration()
     if ranges != RangeCalibration():
         log = ranges.applied(log)
-        scans, track = follow(Scans.of(log, usable), config.tracking, make, progress)
-    doubted = distrusted(log, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
-    breaks, steps = track_breaks_of(log, track), step_constraints(track, config.tracking, doubted)
+        scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
+    breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
     graph = Graph(track.T_track_base[track.keys], steps, [], [], breaks.broken)
-    return Session(log, scans.of_keys(track.keys), scans.clouds, scans.motion, track, breaks, graph, ranges)
+    return Session(
+        log, scans.of_keys(track.keys), scans.clouds, scans.motion, track, evidence, breaks, graph, ranges
+    )
 
 
 def closed(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
@@ -234,8 +234,8 @@ def drawn(session: Session, config: SlamConfig) -> SlamResult:
     """The map of a session: a pose for every scan, the grid, and its check."""
     config, log, track = config.effective(), session.recording, session.track
     keys, T_map_keys = session.key_scans.clouds, session.graph.T_map_keys
-    torn = np.concatenate([session.breaks.gaps, jumps(log, track, track.T_track_base, session.borders)])
+    torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
     poses, overlap = pose_all_scans(keys, session.clouds_of, track, T_map_keys, config.reregistration, torn)
     grid, certainty = make_checked_grid(log, poses, config.grid, config.usable(log.lidar), session.motion)
-    check = check_map(session, poses, overlap, config.tracking.odometry, certainty)
+    check = check_map(session, poses, overlap, certainty)
     return SlamResult(Trajectory(log.stamps_ns, poses), grid, check, session)

@@ -26,12 +26,13 @@ from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop
 from turtlebag.pipeline.slam.mapper import LATER, SlamConfig
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.clouds import KNOTS
 from turtlebag.pipeline.slam.scans.range_noise import range_noise
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
-from turtlebag.pipeline.slam.sessions import Session
+from turtlebag.pipeline.slam.sessions import Session, borders_of
 
 FILE = "graph.npz"
 FORMAT = 11
@@ -202,7 +203,10 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     breaks = TrackBreaks(*(stored[f"breaks_{f.name}"] for f in fields(TrackBreaks)))
     scans = Scans(recording, usable, range_noise(recording, usable), motion)
     key_scans, learnt = scans.of_keys(stored["track_keys"]), RangeCalibration(**ranges)
-    return Session(recording, key_scans, scans.clouds, motion, Track(**track), breaks, graph, learnt), config
+    made, noise = Track(**track), config.tracking.odometry
+    evidence = evidence_of(recording, made, noise, borders_of(graph.constraints, made.keys))
+    session = Session(recording, key_scans, scans.clouds, motion, made, evidence, breaks, graph, learnt)
+    return session, config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:

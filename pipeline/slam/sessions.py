@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,9 @@ from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, 
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.submaps import windows
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
+from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.odometry.trust import distrusted
 from turtlebag.pipeline.slam.reregistration import carried_poses
 from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.scans.scans import joined_clouds, joined_keys
@@ -44,15 +44,10 @@ class Session:
     clouds_of: Callable[[NDArray[np.int64]], Clouds]
     motion: SE2 | None
     track: Track
+    evidence: Evidence
     breaks: TrackBreaks
     graph: Graph
     ranges: RangeCalibration
-
-    @property
-    def borders(self) -> NDArray[np.int64]:
-        """The first scans of later recordings."""
-        joins = [c.j for c in self.graph.constraints if c.kind == "loop" and c.j == c.i + 1]
-        return self.track.keys[joins]
 
     @property
     def unconfirmed(self) -> NDArray[np.int64]:
@@ -94,14 +89,19 @@ def join(
         return joined_clouds([a.clouds_of(scans[first]), b.clouds_of(scans[~first] - border)])
 
     track = joined_track(track_a, track_b, T_map_b)
-    doubted = distrusted(recording, track, tracking.odometry, np.array([border]))
+    evidence = evidence_of(recording, track, tracking.odometry, np.array([border]))
     weak = border_constraint(track_a, a.graph.T_map_keys, T_map_b, track_b)
-    steps = [c for c in step_constraints(track, tracking, doubted) if c.i != weak.i]
+    steps = [c for c in step_constraints(track, tracking, evidence.distrusted) if c.i != weak.i]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     breaks = joined_breaks(a.bridged(), b.bridged(), border)
     graph = Graph(track.T_track_base[track.keys], [*steps, weak], [], [], breaks.broken)
-    return Session(recording, key_scans, clouds_of, motion, track, breaks, graph, a.ranges)
+    return Session(recording, key_scans, clouds_of, motion, track, evidence, breaks, graph, a.ranges)
+
+
+def borders_of(constraints: Sequence[Constraint], keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first scans of later recordings, by the constraints between them; `keys` are all key scans."""
+    return keys[[c.j for c in constraints if c.kind == "loop" and c.j == c.i + 1]]
 
 
 def joined_recording(recordings: list[Recording]) -> Recording:

@@ -7,29 +7,29 @@ from dataclasses import replace
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import Maker, track_log
-from turtlebag.pipeline.slam.odometry.trust import distrusted
 from turtlebag.pipeline.slam.progress import Progress
 from turtlebag.pipeline.slam.scans.clouds import sweep_motion_by_track
 from turtlebag.pipeline.slam.scans.scans import Scans
 
 
-def follow(scans: Scans, config: TrackingConfig, make: Maker, progress: Progress) -> tuple[Scans, Track]:
-    """The front end's track, and the scans deskewed as it knows them.
+def follow(
+    scans: Scans, config: TrackingConfig, make: Maker, progress: Progress
+) -> tuple[Scans, Track, Evidence]:
+    """The scans with the motion during their sweeps, the front end's track, and the evidence for its steps.
 
     Where neither trusted odometry nor anything else gives the motion during a sweep, the scans do, once they
     are placed; then they are followed once more.
     """
-    track = track_log(scans, config, make, progress)
-    recording, motion = scans.recording, scans.motion
-    if recording.lidar.time_increment == 0.0 or len(scans) < 2:
-        return scans, track
-    no_borders = np.zeros(0, dtype=np.int64)
-    unknown = motion is None or distrusted(recording, track, config.odometry, no_borders)
-    if not np.any(unknown):
-        return scans, track
+    track, recording, motion = track_log(scans, config, make, progress), scans.recording, scans.motion
+    evidence = evidence_of(recording, track, config.odometry)
+    unknown = evidence.distrusted | (motion is None)
+    if recording.lidar.time_increment == 0.0 or len(scans) < 2 or not unknown.any():
+        return scans, track, evidence
     by_track = sweep_motion_by_track(recording, track.T_track_base)
     known = by_track if motion is None else motion
-    scans = replace(scans, motion=SE2(np.where(np.reshape(unknown, (-1, 1, 1)), by_track.xyt, known.xyt)))
-    return scans, track_log(scans, config, make, progress)
+    scans = replace(scans, motion=SE2(np.where(unknown[:, None, None], by_track.xyt, known.xyt)))
+    track = track_log(scans, config, make, progress)
+    return scans, track, evidence_of(recording, track, config.odometry)
