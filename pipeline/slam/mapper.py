@@ -28,9 +28,8 @@ from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.reregistration import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.corrected import corrected, heard
@@ -38,7 +37,7 @@ from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration, 
 from turtlebag.pipeline.slam.sessions import Session, join
 
 # Settings that the front end does not read; a change of any other one starts it anew.
-LATER = {"back_end", "loops", "place_recognition", "refine", "reregistration", "grid"}
+LATER = {"back_end", "loops", "place_recognition", "refine", "grid"}
 
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
@@ -49,7 +48,10 @@ Sensors = Annotated[
 class SlamConfig(Settings):
     """Everything that shapes a map."""
 
-    RENAMED: ClassVar = {"recall": "place_recognition", "posing": "reregistration"}
+    RENAMED: ClassVar = {"recall": "place_recognition"}
+    REMOVED: ClassVar = dict.fromkeys(
+        ("reregistration", "posing"), "scans between key scans move with these, and are not aligned once more"
+    )
 
     sensors: Sensors = "both"
     front_end: FrontEndName = Field(
@@ -69,7 +71,6 @@ class SlamConfig(Settings):
     loops: LoopConfig = LoopConfig()
     place_recognition: PlaceRecognitionConfig = PlaceRecognitionConfig()
     refine: RefineConfig = RefineConfig()
-    reregistration: ReregistrationConfig = ReregistrationConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
     def usable(self, lidar: LidarSpec) -> float:
@@ -92,7 +93,6 @@ class SlamConfig(Settings):
             "loops": self.loops.model_copy(update={"enabled": False}),
             "place_recognition": self.place_recognition.model_copy(update={"enabled": False}),
             "refine": self.refine.model_copy(update={"rounds": 0}),
-            "reregistration": self.reregistration.model_copy(update={"enabled": False}),
         }
         return self.model_copy(update=off)
 
@@ -191,9 +191,8 @@ def tracked(recording: Recording, config: SlamConfig, progress: Progress) -> Ses
         scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
     breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
     graph = Graph(track.T_track_base[track.keys], steps, [], [], breaks.broken)
-    return Session(
-        log, scans.of_keys(track.keys), scans.clouds, scans.motion, track, evidence, breaks, graph, ranges
-    )
+    key_scans = scans.of_keys(track.keys)
+    return Session(log, key_scans, scans.motion, track, evidence, breaks, graph, ranges)
 
 
 def closed(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
@@ -232,10 +231,9 @@ def with_later(
 
 def drawn(session: Session, config: SlamConfig) -> SlamResult:
     """The map of a session: a pose for every scan, the grid, and its check."""
-    config, log, track = config.effective(), session.recording, session.track
-    keys, T_map_keys = session.key_scans.clouds, session.graph.T_map_keys
+    log, track, graph = session.recording, session.track, session.graph
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
-    poses, overlap = pose_all_scans(keys, session.clouds_of, track, T_map_keys, config.reregistration, torn)
+    poses = carried_poses(track.T_track_base, track.keys, graph.T_map_keys, torn)
     grid, certainty = make_checked_grid(log, poses, config.grid, config.usable(log.lidar), session.motion)
-    check = check_map(session, poses, overlap, certainty)
+    check = check_map(session, poses, certainty)
     return SlamResult(Trajectory(log.stamps_ns, poses), grid, check, session)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,21 +11,18 @@ from numpy.typing import NDArray
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph
+from turtlebag.pipeline.slam.graph.factors import ALONG_THE_LOG, Constraint, Graph, Kind
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.submaps import windows
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
 from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.reregistration import carried_poses
-from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans
-from turtlebag.pipeline.slam.scans.scans import joined_clouds, joined_keys
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.scans.clouds import KeyScans
+from turtlebag.pipeline.slam.scans.scans import joined_keys
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 
-STEPS = ("step", "odometry", "steady")
-"""Kinds of constraints along the log."""
 BORDER = np.diag([25.0, 25.0, 100.0])
 """Information of the constraint between two sessions: 0.2 m and 0.1 rad."""
 
@@ -34,14 +31,13 @@ BORDER = np.diag([25.0, 25.0, 100.0])
 class Session:
     """One recording (or several joined) with its map.
 
-    Of the scans' points only those of the key scans stay in memory, `key_scans`; `clouds_of` makes those of
-    any scans. `motion` is the base's during each sweep, None if a sweep is one instant. The recording's
-    ranges are corrected already; `ranges` is the error of those of the first one.
+    Of the scans' points only those of the key scans stay in memory, `key_scans`. `motion` is the base's
+    during each sweep, None if a sweep is one instant. The recording's ranges are corrected already; `ranges`
+    is the error of those of the first one.
     """
 
     recording: Recording
     key_scans: KeyScans
-    clouds_of: Callable[[NDArray[np.int64]], Clouds]
     motion: SE2 | None
     track: Track
     evidence: Evidence
@@ -83,11 +79,6 @@ def join(
             f"{b.recording.source}: no place of {a.recording.source} recognised; map it separately"
         )
     track_a, track_b = a.carried(), b.carried()
-
-    def clouds_of(scans: NDArray[np.int64]) -> Clouds:
-        first = scans < border
-        return joined_clouds([a.clouds_of(scans[first]), b.clouds_of(scans[~first] - border)])
-
     track = joined_track(track_a, track_b, T_map_b)
     evidence = evidence_of(recording, track, tracking.odometry, np.array([border]))
     weak = border_constraint(track_a, a.graph.T_map_keys, T_map_b, track_b)
@@ -96,12 +87,12 @@ def join(
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     breaks = joined_breaks(a.bridged(), b.bridged(), border)
     graph = Graph(track.T_track_base[track.keys], [*steps, weak], [], [], breaks.broken)
-    return Session(recording, key_scans, clouds_of, motion, track, evidence, breaks, graph, a.ranges)
+    return Session(recording, key_scans, motion, track, evidence, breaks, graph, a.ranges)
 
 
 def borders_of(constraints: Sequence[Constraint], keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """The first scans of later recordings, by the constraints between them; `keys` are all key scans."""
-    return keys[[c.j for c in constraints if c.kind == "loop" and c.j == c.i + 1]]
+    return keys[[c.j for c in constraints if c.kind is Kind.BORDER]]
 
 
 def joined_recording(recordings: list[Recording]) -> Recording:
@@ -162,8 +153,8 @@ def place_of(
     config = config.model_copy(update={"min_support": max(min(config.min_support, submaps), 1)})
     for share in (8, 4, 2, 1):
         asked = n + (len(keys) - n) // share
-        steps = [c for c in constraints if max(c.i, c.j) < asked and c.kind in STEPS]
-        held = [c for c in constraints if max(c.i, c.j) < asked and c.kind not in STEPS]
+        steps = [c for c in constraints if max(c.i, c.j) < asked and c.kind in ALONG_THE_LOG]
+        held = [c for c in constraints if max(c.i, c.j) < asked and c.kind not in ALONG_THE_LOG]
         log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, breaks.first(asked - 1), held
         record = recognise_places(*log, config, LoopClosing(loops)).record
         found = [place for place in record if place.accepted and place.j < n <= place.i]
@@ -178,4 +169,4 @@ def border_constraint(a: Track, T_map_keys: SE2, T_map_b: SE2, b: Track) -> Cons
     rest."""
     last = len(a.keys) - 1
     relative = T_map_keys[last].inverse() @ (T_map_b @ b.T_track_base[b.keys[0]])
-    return Constraint(last, last + 1, relative.xyt, BORDER, "loop")
+    return Constraint(last, last + 1, relative.xyt, BORDER, Kind.BORDER)
