@@ -26,7 +26,7 @@ from turtlebag.datasets.relations import load_relations
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.sim.simulator import Sensors
@@ -43,7 +43,7 @@ DOCUMENTED = (
     *((world, robot, "tour", seed) for world, robot in TUTORIAL for seed in (2, 3)),
     *((f"office:{seed}", "burger", "tour", seed) for seed in (31, 32, 33)),
 )
-"""The drives whose figures the documentation shows."""
+"""The drives whose figures the lab notes show."""
 RADISH = ("mit-csail", "fr079", "intel")
 # The hospital is 430 m wide and 630 m long.
 SETTINGS = {"fr-clinic_robotlaser": {"grid": {"resolution_m": 0.1}}}

@@ -15,7 +15,7 @@ import yaml
 
 from benchmarks.runner import SPAWN, Case, Row, each, every, public_log
 from benchmarks.slam_logs import MADE, PLACES, log_row
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 
 Variants = dict[str, dict[str, Any]]
 """Settings of a mapper by name."""
@@ -27,15 +27,15 @@ PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", 
 """Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
 
 NUMBERS = {
-    "weight of the prior": "point_to_line_icp.PRIOR_SHARE",
-    "variance of surfaces": "point_to_line_icp.SURFACE_VAR",
-    "shared errors of points": "point_to_line_icp.STEP_COVARIANCE_SCALE",
-    "kernel, rough poses": "correspondences.ROUGH.sigma",
-    "kernel, good poses": "correspondences.FINE.sigma",
-    "weight of the odometry's NIS": "icp_odometry.NIS_WEIGHT",
+    "weight of the prior": "scans.align.PRIOR_SHARE",
+    "variance of surfaces": "scans.align.SURFACE_VAR",
+    "shared errors of points": "scans.align.STEP_COVARIANCE_SCALE",
+    "kernel, rough poses": "scans.correspondences.ROUGH.sigma",
+    "kernel, good poses": "scans.correspondences.FINE.sigma",
+    "weight of the odometry's NIS": "odometry.line_icp.NIS_WEIGHT",
     "odometry's noise": "tracking.odometry: floor share",
     "way between key scans": "tracking: key_distance_m key_turn_rad",
-    "drift of the steps": "drift.HONEST",
+    "drift of the steps": "graph.drift.HONEST",
     "reach of loops": "loops: reach_m",
     "trust in loops": "loops: covariance_scale",
 }
@@ -96,9 +96,9 @@ def multiplied_row(log: str, number: str, factor: float) -> Row:
 
 
 def multiply_constant(where: str, factor: float, change: Callable[[object, str, Any], None]) -> None:
-    """A constant of the mapper (module.NAME, or a field of it) multiplied, in every module that reads it."""
-    module_name, constant, *field = where.split(".")
-    was = getattr(importlib.import_module(f"turtlebag.pipeline.slam.{module_name}"), constant)
+    """A constant of the mapper (room.module.NAME, or a field of it) multiplied wherever it is read."""
+    room, name, constant, *field = where.split(".")
+    was = getattr(importlib.import_module(f"turtlebag.pipeline.slam.{room}.{name}"), constant)
     now = was._replace(**{field[0]: factor * getattr(was, field[0])}) if field else factor * was
     for module in [module for name, module in sys.modules.items() if name.startswith("turtlebag.pipeline.")]:
         if getattr(module, constant, None) is was:

@@ -30,7 +30,7 @@ from benchmarks.runner import SPAWN, Row, held_mb, options, public_log, write
 from docs.examples.studio_client import Client
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio.access import LOOPBACK, Access, listen, new_token
 from turtlebag.pipeline.studio.pilot import DRAWN_EVERY_NS
 from turtlebag.pipeline.studio.server import serve

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from turtlebag.datasets.se2 import compose
-from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.odometry.front_end import Placed
 
 KEYS, CELL_M, SIGMA_M, LEAST = 8, 0.04, 0.02, 20
 """Number of key scans to match, cell size of their map (one point each), a point's error, fewest pairs."""
@@ -20,7 +20,7 @@ class PointIcp:
         self._keys, self._map = 0, None
 
     def step(self, points, odometry_step, wait_s):
-        """As in `turtlebag.pipeline.slam.front_end.FrontEnd`."""
+        """As in `turtlebag.pipeline.slam.odometry.front_end.FrontEnd`."""
         steps = [self._tracker.velocity] if odometry_step is None else [odometry_step, self._tracker.velocity]
         tries = [self._placed(points, compose(self._tracker.pose, step)) for step in steps]
         return max(tries, key=lambda placed: placed.overlap)

@@ -7,7 +7,7 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.driver import Driver
-from turtlebag.pipeline.slam.pose_graph import residuals
+from turtlebag.pipeline.slam.graph.pose_graph import residuals
 from turtlebag.planners.control.controller import Ramped
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.planner import NoPath, Plan
@@ -21,7 +21,7 @@ class GaussNewton:
     """Back end: Gauss-Newton with a dense matrix, constraints reweighted in each round (Cauchy)."""
 
     def optimise(self, T_map_keys, constraints, iterations=30):
-        """As in `turtlebag.pipeline.slam.back_end.BackEnd`."""
+        """As in `turtlebag.pipeline.slam.graph.back_end.BackEnd`."""
         poses, n = T_map_keys.xyt.copy(), len(T_map_keys)
         for _ in range(iterations):
             H, b = 1e-9 * np.eye(3 * n), np.zeros(3 * n)

@@ -28,15 +28,15 @@ from turtlebag.pipeline.conformance.trial_room import (
     require_information,
     require_near,
 )
-from turtlebag.pipeline.slam.back_end import BackEnd
-from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
-from turtlebag.pipeline.slam.correspondences import ROUGH
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch
-from turtlebag.pipeline.slam.point_to_line_icp import Alignment
-from turtlebag.pipeline.slam.track import HYPOTHESES, Track, TrackingConfig
-from turtlebag.pipeline.slam.tracker import Tracker
+from turtlebag.pipeline.slam.graph.back_end import BackEnd
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
+from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
+from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
+from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import Tracker
+from turtlebag.pipeline.slam.scans.align import Alignment
+from turtlebag.pipeline.slam.scans.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.scans.correspondences import ROUGH
 
 OFF = 0.1, 0.05
 """How far off [m], [rad] a lap of a room of 8 m x 6 m may end up, scans placed one after another."""
@@ -47,8 +47,8 @@ EMPTY, GAP, BACK, HOSTILE = (12, 13), 24, 34, 40
 def check_front_end(front_end: Callable[[Any], FrontEnd], *, without_odometry: bool = True) -> None:
     """A lap of a room, with odometry and without, with scans that saw nothing, and a gap.
 
-    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.front_end.FrontEnd`, asks.
-    `without_odometry=False` is for those that need odometry.
+    AssertionError in one line says what the contract asks (`FrontEnd` in
+    `turtlebag.pipeline.slam.odometry.front_end`). `without_odometry=False` is for those that need odometry.
     """
     poses = lap()
     truth = SE2(poses[0]).inverse() @ SE2(poses)
@@ -136,7 +136,7 @@ def _check_hostile(front_end: Callable[[Any], FrontEnd], recording: Recording, s
 def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
     """Two stretches of a lap laid on each other from a start that is off, and where there is nothing.
 
-    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.loop_match.LoopMatch`, asks.
+    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.loops.match.LoopMatch`, asks.
     """
     poses = lap()
     clouds = make_clouds(log(poses, odometry=False), LIDAR.range_max)
@@ -182,14 +182,14 @@ def _matched(
 def check_back_end(back_end: Callable[[], BackEnd]) -> None:
     """A lap of thirty poses whose steps and loop agree, then with a wrong loop.
 
-    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.back_end.BackEnd`, asks.
+    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.graph.back_end.BackEnd`, asks.
     """
     truth = SE2(lap(30))
     start = SE2(truth.xyt + np.random.default_rng(1).normal(0.0, 0.05, (30, 3)) * [1.0, 1.0, 0.3])
     start = SE2(np.vstack([truth.xyt[:1], start.xyt[1:]]))
     information = np.diag([400.0, 400.0, 1600.0])
     pairs = [(k, k + 1) for k in range(29)] + [(0, 29), (3, 27)]
-    exact = [Constraint(i, j, (truth[i].inverse() @ truth[j]).xyt, information, "step") for i, j in pairs]
+    exact = [Constraint(i, j, (truth[i].inverse() @ truth[j]).xyt, information, Kind.STEP) for i, j in pairs]
     silent = replace(exact[5], T_i_j=np.array([9.0, 0.0, 0.0]), information=np.zeros((3, 3)))
     lie = replace(exact[29], i=2, j=20, T_i_j=np.array([3.0, 0.0, 0.0]), cauchy=1.0)
     given = [start.xyt, *(c.T_i_j for c in (*exact, silent, lie)), information]

@@ -14,14 +14,14 @@ from turtlebag.datasets.ground_truth import true_pose
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.correspondences import Limits
-from turtlebag.pipeline.slam.front_end import Placed
-from turtlebag.pipeline.slam.icp_odometry import Lines
-from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_match import Stretch
-from turtlebag.pipeline.slam.point_to_line_icp import Alignment
-from turtlebag.pipeline.slam.tracker import Tracker
+from turtlebag.pipeline.slam.loops.match import Stretch
+from turtlebag.pipeline.slam.loops.matchers import LineMatch
+from turtlebag.pipeline.slam.odometry.front_end import Placed
+from turtlebag.pipeline.slam.odometry.line_icp import Lines
+from turtlebag.pipeline.slam.odometry.tracker import Tracker
+from turtlebag.pipeline.slam.scans.align import Alignment
+from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 
 SURE = np.diag([5e7, 5e7, 5e7])
 """Information of a true loop [1/m^2, 1/(m rad), 1/rad^2], which the graph divides by `covariance_scale`: in

@@ -17,7 +17,7 @@ from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.planners.control.collision_monitor import PADDING_M
 from turtlebag.planners.control.goal_checker import STOPPED_V
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid

@@ -9,8 +9,8 @@ import numpy as np
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, Observation, Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.mapper import Mapper
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
+from turtlebag.pipeline.slam.online.mapper import Mapper
 
 HERE_M = 0.15
 """Scans this close to where the robot pushes against something are not drawn (not measured)."""

@@ -12,12 +12,12 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.factors import Constraint, Loop
-from turtlebag.pipeline.slam.occupancy import make_grid
-from turtlebag.pipeline.slam.pose_graph import mahalanobis, relative
-from turtlebag.pipeline.slam.selfcheck import hypothesis_shares
+from turtlebag.pipeline.slam.check.selfcheck import hypothesis_shares
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, relative
+from turtlebag.pipeline.slam.grid import make_grid
+from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult
 from turtlebag.pipeline.slam.sessions import Session
-from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult
 
 WORST = 10
 

@@ -1,296 +1,363 @@
-"""Online SLAM: scan by scan while the robot drives, with work and memory bounded by counts, not by time.
-
-Front end, loops and factors are the offline mapper's. Each scan is tracked as it comes; key scans wait for
-their loops in a queue, with one alignment per scan, and iSAM2 (Kaess et al. 2012) solves the graph.
-If a place has enough key scans, later ones are removed from the graph (a reduced pose graph,
-Johannsson et al. 2012), so graph and clouds grow with the area seen and not with the time driven.
-
-What needs the whole log is left to `finish`, which maps all scans as `run_slam` does: places recognised
-beyond the reach of drift, refinement, the odometry's delay, the robot's own body in the scans, the gyro.
-"""
+"""Offline SLAM from end to end: a recording in, a pose for every scan and a grid out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache as once
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.se2 import SE2, Array, between, compose
-from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.clouds import KeyScans, known_motion
-from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.front_ends import front_end_maker
-from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
-from turtlebag.pipeline.slam.growing_columns import Columns
-from turtlebag.pipeline.slam.growing_log import GrowingLog
-from turtlebag.pipeline.slam.growing_loops import GrowingLoops
-from turtlebag.pipeline.slam.joint_refinement import refine
-from turtlebag.pipeline.slam.occupancy import make_grid
-from turtlebag.pipeline.slam.range_noise import SCANS, range_noise
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.step_constraints import step_constraints
-from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker
+from turtlebag.datasets.own_body import without_own_body
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.pipeline.slam.check.selfcheck import SelfCheck, check_map
+from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
+from turtlebag.pipeline.slam.graph.edits import Edits, KeyEdits
+from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop
+from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
+from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
+from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
+from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.loops.closure import Progress, close_graph
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks, track_breaks_of
+from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
+from turtlebag.pipeline.slam.odometry.steps import step_constraints
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.tracker import track_log
+from turtlebag.pipeline.slam.odometry.trust import distrusted, jumps
+from turtlebag.pipeline.slam.scans.clouds import (
+    USABLE_M,
+    Clouds,
+    KeyScans,
+    sweep_motion,
+    sweep_motion_by_track,
+)
+from turtlebag.pipeline.slam.scans.parts import among, clouds_maker, joined_clouds
+from turtlebag.pipeline.slam.sensors.gyro_slip import with_gyro
+from turtlebag.pipeline.slam.sensors.mounting import facing
+from turtlebag.pipeline.slam.sensors.range_calibration import (
+    TRIANGULATES_M,
+    RangeCalibration,
+    calibrate_ranges,
+)
+from turtlebag.pipeline.slam.sensors.repeated_scans import without_repeats
+from turtlebag.pipeline.slam.sensors.turn_comparison import compared_turns, in_step
+from turtlebag.pipeline.slam.sessions import (
+    Session,
+    border_constraint,
+    joined_recording,
+    joined_track,
+    place_of,
+)
 
-# Key scans of one place: of this size, seen in one of this many directions.
-PLACE_M, DIRECTIONS = 0.5, 8
-# The track is lost if, in this many scans in a row, less than this share of the points in known space fits.
-LOST_SCANS, LOST_AGREEMENT = 5, 0.6
+# Settings that the front end does not read; a change of any other one starts it anew.
+LATER = {"back_end", "loops", "place_recognition", "refine", "grid"}
 
 
-class Kept(NamedTuple):
-    """How much an online mapper keeps in memory."""
+CloudsOf = Callable[[NDArray[np.int64] | None], Clouds]
 
-    tidy_scans: int = 256
-    """After so many scans those that are no key scans are dropped, except the last ones."""
-    last_scans: int = 64
-    """The last ones, to which the front end may return after a gap."""
-    place_keys: int = 3
-    """So many key scans are enough for a place."""
-    log_scans: int = 20_000
-    """The whole log is kept up to so many scans."""
+Sensors = Annotated[
+    Literal["both", "lidar", "odometry"],
+    Field(description="which sensors to use; with odometry alone, the map follows the wheels"),
+]
 
 
-USUAL = Kept()
+class SlamConfig(Settings):
+    """Everything that shapes a map."""
+
+    RENAMED: ClassVar = {"recall": "place_recognition"}
+    REMOVED: ClassVar = dict.fromkeys(
+        ("reregistration", "posing"), "scans between key scans move with these, and are not aligned once more"
+    )
+
+    sensors: Sensors = "both"
+    front_end: FrontEndName = Field(
+        default="lines",
+        description="estimates the scans' poses: our line tracker, KISS-ICP, odometry, or your own class",
+    )
+    usable_range_m: float = Field(
+        default=USABLE_M, gt=0.0, description="longer returns are neither matched nor mapped"
+    )
+    deskew: bool = Field(default=True, description="deskew the scans; switch off if the driver already does")
+    gyro: bool = Field(default=True, description="use the gyro where the wheels slip while turning")
+    calibrate_ranges: bool = Field(
+        default=True, description="correct the range errors of a short-range lidar"
+    )
+    tracking: TrackingConfig = TrackingConfig()
+    back_end: BackEndName = "gtsam"
+    loops: LoopConfig = LoopConfig()
+    place_recognition: PlaceRecognitionConfig = PlaceRecognitionConfig()
+    refine: RefineConfig = RefineConfig()
+    grid: OccupancyConfig = OccupancyConfig()
+
+    def usable(self, lidar: LidarSpec) -> float:
+        """The range [m] beyond which returns of this lidar are ignored."""
+        return min(lidar.range_max, self.usable_range_m)
 
 
-class Mapper:
-    """Online mapper: scans in, pose and map out. The map's frame is the odometry's at the first scan; without
-    odometry, the robot's."""
+@dataclass(frozen=True, eq=False)
+class SlamResult:
+    """A pose per scan in file order, the grid, and their session."""
 
-    def __init__(
-        self, lidar: LidarSpec, T_base_lidar: SE2, config: SlamConfig | None = None, kept: Kept = USUAL
-    ) -> None:
-        self.config, self._kept = config or SlamConfig(), kept
-        self.jumps: list[float] = []
-        """How far each closed loop moved the robot [m]."""
-        self._log = GrowingLog(lidar, T_base_lidar)
-        self._usable = self.config.usable(lidar)
-        self._clouds = GrowingClouds()
-        # of each scan with a cloud: number in the log, odometry, stamp, motion during the sweep
-        self._prepared = Columns()
-        # of every scan of the log: the number of the last key, and the scan's pose relative to it
-        self._by_key = Columns()
-        self._tracker: Tracker | None = None
-        self._loops: GrowingLoops | None = None
-        self._T_map_track = np.zeros(3)
-        self._misfits = 0
-
-    def __len__(self) -> int:
-        return len(self._log)
-
-    def add(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu] = ()) -> SE2:
-        """Add a scan; returns T_map_base at its stamp.
-
-        `odometry` is the pose T_odom_base at that stamp, or all its samples since the last scan's, to the end
-        of the sweep (stamps must increase); the same kind, or none, for every scan. `imu` likewise.
-        """
-        self._log.append(scan, odometry, imu)
-        self._append(self._log.last())
-        tracker = self._tracker
-        if tracker is None or self._loops is None:
-            self._begin()
-        else:
-            self._extend(tracker)
-            stamps = self._prepared["stamp_ns"]
-            tracker.step(seconds(int(stamps[-1] - stamps[-2])))
-            self._judge(tracker)
-            self._revise(tracker)
-            self._close_loops(tracker, self._loops)
-        assert self._tracker is not None
-        assert self._loops is not None
-        T_key_scan = between(self._tracker.pose_of(self._tracker.keys[-1]), self._tracker.pose)
-        self._by_key.append(key=np.array([len(self._tracker.keys) - 1]), T_key_scan=T_key_scan[None])
-        if len(self._prepared) - len(self._tracker.keys) >= self._kept.tidy_scans + self._kept.last_scans:
-            self._tidy(self._tracker, self._loops)
-        return self.T_map_base
-
-    @property
-    def T_map_base(self) -> SE2:
-        """Current estimate of the newest scan's pose."""
-        assert self._tracker is not None
-        return SE2(compose(self._T_map_track, self._tracker.pose))
-
-    @property
-    def T_map_odom(self) -> SE2:
-        """The odometry frame on the map."""
-        return self.T_map_base @ SE2(self._prepared["T_odom_base"][-1]).inverse()
+    trajectory: Trajectory
+    grid: OccupancyGrid
+    check: SelfCheck
+    session: Session
 
     @property
-    def lost(self) -> bool:
-        """Whether the newest scans fit the earlier ones so badly that their poses are guesses."""
-        return self._misfits >= LOST_SCANS
-
-    @property
-    def fit(self) -> float:
-        """The share of the newest scan's points in known space that lie on known surfaces, 0..1."""
-        return 1.0 if self._tracker is None else self._tracker.placed.agreement
-
-    @property
-    def sigma_m(self) -> float | None:
-        """Standard deviation of the robot's position on the map [m], by the graph for the last key scan
-        checked for loops; None before."""
-        return None if self._loops is None else self._loops.sigma_m
+    def track(self) -> Track:
+        """The front end's track."""
+        return self.session.track
 
     @property
     def T_map_keys(self) -> SE2:
-        """Poses of the key scans."""
-        return SE2.identity(0) if self._loops is None else SE2(self._loops.poses)
-
-    @property
-    def keys(self) -> NDArray[np.int64]:
-        """Numbers of the key scans among all added scans, from 0 on."""
-        if self._tracker is None:
-            return np.zeros(0, dtype=np.int64)
-        return self._log.numbers[self._prepared["number"][self._tracker.keys]]
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Current estimates of the poses of all scans."""
-        T_map_scans = self.T_map_keys[self._by_key["key"]] @ SE2(self._by_key["T_key_scan"])
-        return Trajectory(self._log.stamps_ns, T_map_scans)
+        """Final poses of the key scans."""
+        return self.session.graph.T_map_keys
 
     @property
     def constraints(self) -> list[Constraint]:
-        """Constraints between the key scans: steps and loops."""
-        return [] if self._loops is None else [*self._loops.steps, *self._loops.loops]
+        """Constraints of the final graph."""
+        return self.session.graph.constraints
 
-    def distrust(self, within_m: float) -> None:
-        """Leave out of the map the newest scans, since the robot came within `within_m` of its position."""
-        away = np.linalg.norm(self.trajectory.poses.xy - self.T_map_base.xy, axis=1) > within_m
-        self._log.trusted[int(np.flatnonzero(away)[-1]) + 1 if away.any() else 1 :] = False
+    @property
+    def loops(self) -> list[Loop]:
+        """Loop candidates by distance."""
+        return self.session.graph.loops
 
-    def map(self) -> OccupancyGrid:
-        """The occupancy grid of the key scans and the newest scan."""
-        numbers = self._prepared["number"]
-        assert self._tracker is not None
-        T_map = {key: SE2(pose) for key, pose in zip(self._tracker.keys, self.T_map_keys.xyt, strict=True)}
-        T_map[len(numbers) - 1] = self.T_map_base
-        shown = [k for k in T_map if self._log.trusted[numbers[k]]]
-        seen, motion = self._log.some(numbers[shown]), SE2(self._prepared["motion"][shown])
-        return make_grid(seen, SE2.stack([T_map[k] for k in shown]), self.config.grid, self._usable, motion)
+    @property
+    def recognised(self) -> list[Loop]:
+        """Loop candidates by place recognition."""
+        return self.session.graph.recognised
 
-    def finish(self) -> tuple[Trajectory, OccupancyGrid]:
-        """Poses and map by the offline mapper from all scans; once old scans were dropped, by
-        the refinement of the remaining ones."""
-        if self._log.whole:
-            result = run_slam(self.recording(), self.config)
-            return result.trajectory, result.grid
-        assert self._tracker is not None
-        assert self._loops is not None
-        keys, loops = np.array(self._tracker.keys), self._loops
-        refined, _ = refine(self._clouds.view(), keys, self.T_map_keys, loops.steps, self.config.refine)
-        loops.poses = refined.xyt
-        self._follow(self._tracker, loops)
-        return self.trajectory, self.map()
+    @property
+    def keys(self) -> NDArray[np.int64]:
+        """Scan index of each key scan."""
+        return self.track.keys
 
-    def recording(self) -> Recording:
-        """All remaining trusted scans, as a log."""
-        return self._log.recording()
 
-    def _append(self, one: Recording) -> None:
-        """Prepare the newest scan."""
-        number = len(self._log) - 1
-        if number < SCANS and number & (number + 1) == 0:
-            # more scans give a better estimate of the lidar's noise
-            self._clouds.noise = range_noise(self._log.recording(), self._usable)
-        motion = known_motion(one)
-        self._clouds.append(one, self._usable, motion)
-        self._prepared.append(
-            number=np.array([number]),
-            stamp_ns=one.stamps_ns,
-            T_odom_base=np.zeros((1, 3)) if one.T_odom_base is None else one.T_odom_base.xyt,
-            motion=motion.xyt,
+def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[int]:
+    """No progress."""
+    del description, total
+    return items
+
+
+@dataclass(frozen=True)
+class _Run:
+    """The context of a run, passed to every step."""
+
+    config: SlamConfig
+    progress: Progress
+    edits: Edits
+
+
+def run_slam(
+    recording: Recording,
+    config: SlamConfig,
+    progress: Progress = no_progress,
+    *,
+    more: Sequence[Recording] = (),
+    edits: Edits = Edits(),  # noqa: B008 (frozen)
+) -> SlamResult:
+    """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
+
+    `more` are later recordings of the same place: each is located in the map so far and joins the graph;
+    the trajectory holds the scans of all, in that order. InputError if one cannot be located. `edits` are
+    loops in `recording` that the user rejected or added.
+    """
+    edits.require_scans(len(recording), recording.source)
+    run = _Run(config, progress, edits)
+    return _mapped(_session(recording, run), more, run)
+
+
+def continue_slam(
+    session: Session,
+    more: Sequence[Recording],
+    config: SlamConfig,
+    progress: Progress = no_progress,
+) -> SlamResult:
+    """As `run_slam`, but from the finished session of an earlier map instead of its recording."""
+    return _mapped(session, more, _Run(config, progress, Edits()))
+
+
+def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResult:
+    """The map of a session and of later recordings joined to it."""
+    if more and run.config.sensors == "odometry":
+        raise InputError(
+            f"{more[0].source}: joining it to {session.recording.source} needs scans; "
+            "map each separately, or drop sensors=odometry"
+        )
+    for other in more:
+        session = _joined(session, _session(other, run), run)
+    recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
+    usable, track = config.usable(recording.lidar), session.track
+    torn = np.concatenate([session.breaks.gaps, jumps(recording, track, track.T_track_base, session.borders)])
+    poses = carried_poses(track.T_track_base, track.keys, session.graph.T_map_keys, torn)
+    grid, certainty = make_checked_grid(recording, poses, config.grid, usable, session.motion)
+    check = check_map(session, poses, config.tracking.odometry, certainty)
+    return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
+
+
+def _session(recording: Recording, run: _Run) -> Session:
+    """Front end, loop closure and refinement of one recording."""
+    if len(recording) == 0:
+        raise InputError(f"{recording.source}: no scans to map")
+    recording, config = _with_sensors(recording, run.config)
+    usable = config.usable(recording.lidar)
+    recording = without_repeats(without_own_body(recording), usable)
+    turns = compared_turns(recording)
+    if turns.alike:
+        recording = facing(in_step(recording, turns))
+    elif config.front_end != "wheels":
+        recording = _without_odometry(recording)
+    recording = with_gyro(recording) if config.gyro else recording
+    motion, clouds_of, track = _tracked(recording, run, config)
+    ranges = _range_errors(recording, clouds_of, track, config)
+    if ranges != RangeCalibration():
+        recording = ranges.applied(recording)
+        motion, clouds_of, track = _tracked(recording, run, config)
+    clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
+    doubted = distrusted(recording, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
+    breaks, steps = track_breaks_of(recording, track), step_constraints(track, config.tracking, doubted)
+    graph = _optimised(clouds, track, breaks, steps, replace(run, config=config))
+    return Session(recording, clouds, clouds_of, motion, track, breaks, graph, ranges)
+
+
+def _without_odometry(recording: Recording) -> Recording:
+    """The recording without its odometry if that does not turn when the scans do, because it belongs to
+    another drive."""
+    said = "the odometry does not turn when the scans do (is it from another drive?): not used"
+    return replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
+
+
+def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 | None, CloudsOf, Track]:
+    """The motion during each sweep, a function that makes the clouds of some or all scans, and the front
+    end's track."""
+    usable, turning = config.usable(recording.lidar), recording.lidar.time_increment != 0.0
+    motion = sweep_motion(recording) if turning else None
+
+    def placed(motion: SE2 | None) -> tuple[CloudsOf, Track]:
+        clouds_of = clouds_maker(recording, usable, motion)
+        scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
+        make = front_end_maker(config.front_end)
+        return clouds_of, track_log(recording, clouds_of(None), config.tracking, usable, scans, make)
+
+    clouds_of, track = placed(motion)
+    if turning and len(recording) > 1:
+        # where neither trusted odometry nor anything else gives the motion during a sweep, the scans do, once
+        # they are placed
+        noise, no_borders = config.tracking.odometry, np.zeros(0, dtype=np.int64)
+        unknown = motion is None or distrusted(recording, track, noise, no_borders)
+        if np.any(unknown):
+            by_track = sweep_motion_by_track(recording, track.T_track_base)
+            known = by_track if motion is None else motion
+            motion = SE2(np.where(np.reshape(unknown, (-1, 1, 1)), by_track.xyt, known.xyt))
+            clouds_of, track = placed(motion)
+    return motion, clouds_of, track
+
+
+def _range_errors(
+    recording: Recording, clouds_of: CloudsOf, track: Track, config: SlamConfig
+) -> RangeCalibration:
+    """The range error of a short-range lidar, by the key scans."""
+    if not config.calibrate_ranges or recording.lidar.range_max > TRIANGULATES_M:
+        return RangeCalibration()
+    keys, usable = track.keys, config.usable(recording.lidar)
+    clouds = among(clouds_of(keys), keys, len(recording))
+    return calibrate_ranges(clouds, keys, track.T_track_base[keys], usable)
+
+
+def _joined(a: Session, b: Session, run: _Run) -> Session:
+    """Session `b` found in the map of `a`, and both optimised as one graph."""
+    track_a, track_b, T_map_keys = a.carried(), b.carried(), a.graph.T_map_keys
+    recording = joined_recording([a.recording, b.recording])
+    clouds = once(lambda: joined_clouds([a.clouds(), b.clouds()]))
+
+    def clouds_of(scans: NDArray[np.int64]) -> Clouds:
+        border = len(a.recording)
+        return joined_clouds(
+            [a.clouds_of(scans[scans < border]), b.clouds_of(scans[scans >= border] - border)]
         )
 
-    def _begin(self) -> None:
-        clouds, make = self._clouds.view(), front_end_maker(self.config.front_end)
-        self._tracker = Tracker(clouds, self._log.last(), self.config.tracking, self._usable, make)
-        self._loops = GrowingLoops(clouds, self._tracker.pose, self.config.loops)
-
-    def _extend(self, tracker: Tracker) -> None:
-        odometry = self._prepared["T_odom_base"] if self._log.has_odometry else None
-        tracker.extend(self._clouds.view(), odometry)
-
-    def _judge(self, tracker: Tracker) -> None:
-        """Count scans that do not fit. One without points says nothing if there is odometry."""
-        blind = tracker.clouds.placed_by(tracker.scan) == "nothing"
-        if blind and tracker.odometry is None:
-            self._misfits += 1
-        elif not blind:
-            self._misfits = 0 if self.fit >= LOST_AGREEMENT else self._misfits + 1
-
-    def _revise(self, tracker: Tracker) -> None:
-        """Correct earlier scans that the newest one revises, relative to their keys."""
-        key, T_key_scan = self._by_key["key"], self._by_key["T_key_scan"]
-        for scan, _ in tracker.placed.revised:
-            number = self._prepared["number"][scan]
-            T_key_scan[number] = between(tracker.pose_of(tracker.keys[key[number]]), tracker.pose_of(scan))
-
-    def _close_loops(self, tracker: Tracker, loops: GrowingLoops) -> None:
-        """A new key scan for the graph, if there is one, and one more alignment."""
-        if len(tracker.keys) > len(loops.poses):
-            steps = step_constraints(tracker.track(len(loops.poses) - 1), self.config.tracking)
-            T_last_key = between(*tracker.last_keys(2)[1])
-            loops.add_key(KeyScans(tracker.clouds, np.array(tracker.keys)), T_last_key, steps)
-        before = self.T_map_base
-        if loops.work():
-            self._follow(tracker, loops)
-            self.jumps.append(float(np.hypot(*(before.inverse() @ self.T_map_base).xy)))
-
-    def _tidy(self, tracker: Tracker, loops: GrowingLoops) -> None:
-        """Drop what is not needed any more: scans that are no key scans, and keys of well-seen places."""
-        needed = loops.needed()
-        needed[-FIELD_KEYS:] = True
-        kept = needed | _first_of_places(loops.poses, self._kept.place_keys)
-        stays = np.zeros(len(self._prepared), dtype=bool)
-        stays[-self._kept.last_scans :] = True
-        stays[np.array(tracker.keys)] = kept
-        self._prepared.keep(stays)
-        self._clouds.keep(stays)
-        tracker.forget(~stays)
-        self._extend(tracker)
-        scans = KeyScans(tracker.clouds, np.array(tracker.keys))
-        if not kept.all():
-            self._hang_on(kept, loops.poses)
-            loops.keep(kept, scans)
-            self._follow(tracker, loops)
-        else:
-            loops.scans = scans
-        if len(self._log) > self._kept.log_scans:
-            self._drop_scans()
-
-    def _drop_scans(self) -> None:
-        """The log, too, keeps only scans with clouds."""
-        stays = np.zeros(len(self._log), dtype=bool)
-        stays[self._prepared["number"]] = True
-        self._log.keep(stays)
-        self._by_key.keep(stays)
-        self._prepared["number"][:] = np.arange(len(self._prepared))
-
-    def _follow(self, tracker: Tracker, loops: GrowingLoops) -> None:
-        """Move the track to the graph's pose of its last key scan."""
-        self._T_map_track = (SE2(loops.poses[-1]) @ SE2(tracker.pose_of(tracker.keys[-1])).inverse()).xyt
-
-    def _hang_on(self, kept: NDArray[np.bool_], T_map_keys: Array) -> None:
-        """Poses relative to removed keys become relative to the last key before that stays."""
-        before = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
-        key, T_map = self._by_key["key"], SE2(T_map_keys)
-        T_new_old = (T_map[before].inverse() @ T_map)[key]
-        T_key_scan = self._by_key["T_key_scan"]
-        T_key_scan[:] = (T_new_old @ SE2(T_key_scan)).xyt
-        key[:] = (np.cumsum(kept) - 1)[before[key]]
+    config = _with_sensors(recording, run.config)[1]
+    T_map_b = place_of(clouds(), a, b, config.place_recognition, config.loops)
+    if T_map_b is None:
+        raise InputError(
+            f"{b.recording.source}: no place of {a.recording.source} recognised; map it separately"
+        )
+    track = joined_track(track_a, track_b, T_map_b)
+    border = border_constraint(track_a, T_map_keys, T_map_b, track_b)
+    doubted = distrusted(recording, track, config.tracking.odometry, np.array([len(a.recording)]))
+    steps = [c for c in step_constraints(track, config.tracking, doubted) if c.i != border.i]
+    sweeps = [session.motion for session in (a, b) if session.motion is not None]
+    motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
+    breaks = joined_breaks(a.bridged(), b.bridged(), len(a.recording))
+    graph = _optimised(clouds, track, breaks, [*steps, border], replace(run, config=config))
+    return Session(recording, clouds, clouds_of, motion, track, breaks, graph, a.ranges)
 
 
-def _first_of_places(T_map_keys: Array, count: int) -> NDArray[np.bool_]:
-    """Which of the keys (n, 3) are among the first `count` of their place, (n,)."""
-    place = np.floor(T_map_keys / [PLACE_M, PLACE_M, 2.0 * np.pi / DIRECTIONS]).astype(np.int64)
-    _, of = np.unique(place, axis=0, return_inverse=True)
-    order = np.argsort(of, kind="stable")
-    first = np.searchsorted(of[order], of[order])
-    among = np.empty(len(of), dtype=bool)
-    among[order] = np.arange(len(of)) - first < count
-    return among
+def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
+    """The recording and settings reduced to the sensors asked for; InputError without those needed."""
+    if not config.deskew:
+        recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
+    if config.sensors == "lidar" and config.front_end == "wheels":
+        raise InputError("front_end=wheels needs the odometry that sensors=lidar leaves out")
+    if config.sensors == "odometry" and config.front_end not in ("lines", "wheels"):
+        raise InputError(f"front_end={config.front_end} needs the scans that sensors=odometry leaves out")
+    if config.sensors == "lidar":
+        recording = replace(recording, T_odom_base=None, odometry=None)
+    if recording.T_odom_base is None:
+        for setting in ("sensors=odometry", "front_end=wheels"):
+            name, value = setting.split("=")
+            if getattr(config, name) == value:
+                raise InputError(f"{recording.source}: no odometry, which {setting} needs")
+    return recording, _by_odometry(config) if config.sensors == "odometry" else config
+
+
+def _by_odometry(config: SlamConfig) -> SlamConfig:
+    """The settings with plain odometry as front end, and without anything that would move a scan later."""
+    off = {
+        "front_end": "wheels",
+        "calibrate_ranges": False,
+        "tracking": config.tracking.model_copy(update={"calibration": False}),
+        "loops": config.loops.model_copy(update={"enabled": False}),
+        "place_recognition": config.place_recognition.model_copy(update={"enabled": False}),
+        "refine": config.refine.model_copy(update={"rounds": 0}),
+    }
+    return config.model_copy(update=off)
+
+
+def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
+    """The exchangeable parts of a map, by setting; None: not used."""
+    config = _by_odometry(config) if config.sensors == "odometry" else config
+    matcher = config.loops.match if config.loops.enabled else None
+    solved = config.loops.enabled or config.refine.rounds > 0
+    back_end = config.back_end if solved else None
+    return {"front_end": config.front_end, "loops.match": matcher, "back_end": back_end}
+
+
+def _optimised(
+    clouds: Callable[[], Clouds], track: Track, breaks: TrackBreaks, steps: list[Constraint], run: _Run
+) -> Graph:
+    """The graph after loop closure and joint refinement of all key poses."""
+    config, keys, back_end = run.config, track.keys, make_back_end(run.config.back_end)
+    edits = KeyEdits.of(run.edits, keys)
+    graph = Graph(track.T_track_base[keys], steps, [], [], breaks.broken)
+    if config.loops.enabled and len(keys) > 2:
+        loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
+        scans, closing = KeyScans(clouds(), keys), LoopClosing(loops, edits, back_end)
+        graph = close_graph(
+            scans, graph.T_map_keys, breaks, steps, closing, config.place_recognition, run.progress
+        )
+    if config.refine.rounds > 0 and len(keys) > 2:
+        T_map_keys, constraints = refine(
+            clouds(), keys, graph.T_map_keys, graph.constraints, config.refine, edits, back_end
+        )
+        graph = replace(graph, T_map_keys=T_map_keys, constraints=constraints)
+    return graph

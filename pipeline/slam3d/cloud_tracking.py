@@ -17,7 +17,7 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
-from turtlebag.pipeline.slam.kiss import LidarOdometry
+from turtlebag.pipeline.slam.odometry.kiss import LidarOdometry
 from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered, thinned
 from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
 from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Seen, Surfels, fit, make_surfels

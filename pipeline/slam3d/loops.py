@@ -17,11 +17,11 @@ from pydantic import Field
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.factors import Constraint, Loop, firm
-from turtlebag.pipeline.slam.loop_search import BATCH, LoopConfig, LoopSearch
-from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, consistency, support
-from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
+from turtlebag.pipeline.slam.graph.factors import Constraint, Loop, firm
+from turtlebag.pipeline.slam.graph.pose_graph import optimise
+from turtlebag.pipeline.slam.loops.by_distance import BATCH, LoopConfig, LoopSearch
+from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor

@@ -16,7 +16,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.occupancy import MAX_COUNTED, Counts, OccupancyConfig, classify, trace, trimmed
+from turtlebag.pipeline.slam.grid import MAX_COUNTED, Counts, OccupancyConfig, classify, trace, trimmed
 
 SLICE_REACH_M = 20.0
 """Beams are used up to here."""

@@ -18,7 +18,7 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.deskew import deskewed_points
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.track import BLIND
+from turtlebag.pipeline.slam.odometry.track import BLIND
 
 MAX_CELLS = 24_000_000
 NOISE_M = 0.01

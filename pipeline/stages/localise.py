@@ -26,8 +26,8 @@ from turtlebag.pipeline.localisation.localisers import LocaliserName, make_local
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
-from turtlebag.pipeline.slam.laser_mounting import facing
-from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
+from turtlebag.pipeline.slam.sensors.mounting import facing
+from turtlebag.pipeline.slam.sensors.turn_comparison import compared_turns, delay_metrics, in_step
 from turtlebag.pipeline.stages.requests.options import chosen_settings
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
 from turtlebag.pipeline.stages.sources import Source

@@ -15,15 +15,15 @@ from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.slam.back_end import make_back_end
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
-from turtlebag.pipeline.slam.front_ends import front_end_maker
-from turtlebag.pipeline.slam.graph_file import FILE as GRAPH
-from turtlebag.pipeline.slam.graph_file import load_session, require_same_front_end, save_session
-from turtlebag.pipeline.slam.loop_edits import Edits, load_edits
-from turtlebag.pipeline.slam.pose_graph import write_g2o
+from turtlebag.pipeline.slam.graph.back_end import make_back_end
+from turtlebag.pipeline.slam.graph.edits import Edits, load_edits
+from turtlebag.pipeline.slam.graph.pose_graph import write_g2o
+from turtlebag.pipeline.slam.mapper import SlamConfig, chosen_parts, continue_slam, run_slam
+from turtlebag.pipeline.slam.odometry.front_ends import front_end_maker
+from turtlebag.pipeline.slam.session_file import FILE as GRAPH
+from turtlebag.pipeline.slam.session_file import load_session, require_same_front_end, save_session
 from turtlebag.pipeline.slam.sessions import Session
-from turtlebag.pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
 from turtlebag.pipeline.stages.map3d import map_clouds
 from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config

@@ -14,12 +14,12 @@ from pydantic import BaseModel
 from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.types import Recording, Recording3D
-from turtlebag.pipeline.slam.turn_comparison import delay_metrics
+from turtlebag.pipeline.slam.sensors.turn_comparison import delay_metrics
 from turtlebag.pipeline.terminal.messages import length, log
 from turtlebag.reports.numbers import lookup
 
 if TYPE_CHECKING:
-    from turtlebag.pipeline.slam.slam import SlamResult
+    from turtlebag.pipeline.slam.mapper import SlamResult
     from turtlebag.pipeline.slam3d.slam3d import Slam3dResult
 
 

@@ -11,7 +11,7 @@ from turtlebag.datasets.files import unchanged
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.graph_file import FILE as GRAPH
+from turtlebag.pipeline.slam.session_file import FILE as GRAPH
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.mapper import Mapper
-from turtlebag.pipeline.slam.slam import SlamResult
+from turtlebag.pipeline.slam.mapper import SlamResult
+from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio.view import Graph, LoopMarks
 
 STEP, LOOP = 0, 1

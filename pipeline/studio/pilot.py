@@ -25,7 +25,7 @@ from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.control.controller import SpeedLimits, ramped
 from turtlebag.planners.costmap import Costmap

@@ -16,7 +16,7 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.relocalisation_states import State
-from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio.loops_shown import graph_of_mapper
 from turtlebag.pipeline.studio.pilot import Pilot, Task
 from turtlebag.pipeline.studio.view import (

@@ -21,16 +21,11 @@ from benchmarks.slam_logs import BARE, LIDARS, MADE, MISHAPS, WORLDS, drive_case
 from benchmarks.slam_parts import NUMBERS, multiply_constant
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam import (
-    calibration,
-    correspondences,
-    joint_refinement,
-    point_to_line_icp,
-    range_calibration,
-    reregistration,
-    step_constraints,
-)
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.graph import refinement
+from turtlebag.pipeline.slam.mapper import SlamConfig
+from turtlebag.pipeline.slam.odometry import calibration, steps
+from turtlebag.pipeline.slam.scans import align, correspondences
+from turtlebag.pipeline.slam.sensors import range_calibration
 from turtlebag.sim.worlds import load_world
 
 
@@ -81,8 +76,8 @@ def test_every_number_of_the_sensitivity_study_is_one_there_is():
             config = functools.reduce(getattr, path.split("."), SlamConfig())
             assert set(fields.split()) <= set(type(config).model_fields), section
         else:
-            module, constant, *field = path.split(".")
-            value = getattr(importlib.import_module(f"turtlebag.pipeline.slam.{module}"), constant)
+            room, module, constant, *field = path.split(".")
+            value = getattr(importlib.import_module(f"turtlebag.pipeline.slam.{room}.{module}"), constant)
             assert set(field) <= set(getattr(value, "_fields", ())), section
 
 
@@ -92,11 +87,11 @@ def test_a_constant_is_multiplied_wherever_it_is_read():
     def change(module, name, value):
         changes[module, name] = value
 
-    multiply_constant("correspondences.FINE.sigma", 2.0, change)
-    multiply_constant("point_to_line_icp.STEP_COVARIANCE_SCALE", 0.5, change)
-    for module in (correspondences, joint_refinement, range_calibration, calibration, reregistration):
+    multiply_constant("scans.correspondences.FINE.sigma", 2.0, change)
+    multiply_constant("scans.align.STEP_COVARIANCE_SCALE", 0.5, change)
+    for module in (correspondences, refinement, range_calibration, calibration):
         assert changes[module, "FINE"] == (0.1, 0.06, 15, 10**6)
-    for module in (point_to_line_icp, joint_refinement, range_calibration, calibration, step_constraints):
+    for module in (align, refinement, range_calibration, calibration, steps):
         assert changes[module, "STEP_COVARIANCE_SCALE"] == 2.5
 
 

@@ -10,7 +10,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
 
 
@@ -107,7 +107,6 @@ def test_a_wrong_file_names_itself(tmp_path, text, message):
         (NavigateConfig, "relocalise.tell_apart=9", "relocalise.tell_apart: is now called disambiguate"),
         (SlamConfig, "loops.inflation=9", "loops.inflation: is now called covariance_scale"),
         (SlamConfig, "recall.enabled=false", "recall: is now called place_recognition"),
-        (SlamConfig, "posing.enabled=false", "posing: is now called reregistration"),
     ],
 )
 def test_a_former_key_names_the_present_one(model, old, new):

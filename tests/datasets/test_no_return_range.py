@@ -15,10 +15,10 @@ from turtlebag.datasets.types import Observation as Seen
 from turtlebag.datasets.types import Odometry, Scan
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
-from turtlebag.pipeline.slam.range_noise import range_noise
-from turtlebag.pipeline.slam.repeated_scans import without_repeats
+from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.range_noise import range_noise
+from turtlebag.pipeline.slam.sensors.repeated_scans import without_repeats
 
 NEAR = replace(SICK, range_max=5.6)  # no float32 number: the messages' own is a little less
 DRIVE = np.stack([0.1 * np.arange(20), 0.3 * np.ones(20), 0.02 * np.arange(20)], axis=1)

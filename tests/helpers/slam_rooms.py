@@ -7,9 +7,9 @@ import numpy as np
 from tests.helpers.exact_rays import rectangle, scans_of
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
-from turtlebag.pipeline.slam.track import TrackingConfig
-from turtlebag.pipeline.slam.tracker import track_log
-from turtlebag.pipeline.slam.wheel_odometry import Wheels
+from turtlebag.pipeline.slam.odometry.track import TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import track_log
+from turtlebag.pipeline.slam.odometry.wheels import Wheels
 
 SICK = LidarSpec(180, -math.pi / 2, math.pi / 180.0, 0.05, 30.0)
 LDS = LidarSpec(360, 0.0, math.pi / 180.0, 0.12, 8.0)

@@ -11,7 +11,7 @@ from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.tasks.sector_rule import Sectors
 
@@ -49,7 +49,7 @@ def test_the_estimate_stays_true_while_odometry_drifts_and_the_map_comes_bit_by_
 
 @pytest.mark.slow
 def test_the_finished_map_is_that_of_the_offline_mapper():
-    from turtlebag.pipeline.slam.slam import run_slam
+    from turtlebag.pipeline.slam.mapper import run_slam
 
     online = OnlineMap(SE2.identity(), SlamConfig())
     drive(online, 120)

@@ -12,12 +12,12 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.drivers import make_avoider
-from turtlebag.pipeline.slam.front_end import Placed
-from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
-from turtlebag.pipeline.slam.loop_search import MATCHERS
-from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
-from turtlebag.pipeline.slam.pose_graph import Gtsam
-from turtlebag.pipeline.slam.wheel_odometry import Wheels
+from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
+from turtlebag.pipeline.slam.loops.by_distance import MATCHERS
+from turtlebag.pipeline.slam.loops.matchers import Open3dMatch
+from turtlebag.pipeline.slam.odometry.front_end import Placed
+from turtlebag.pipeline.slam.odometry.front_ends import FRONT_ENDS
+from turtlebag.pipeline.slam.odometry.wheels import Wheels
 from turtlebag.planners.control.dwa import Dwa, DwaConfig
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.global_plan import OmplPlanner

@@ -13,16 +13,16 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam.front_end import FrontEnd
-from turtlebag.pipeline.slam.pose_graph import Gtsam
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
+from turtlebag.pipeline.slam.mapper import SlamConfig
+from turtlebag.pipeline.slam.odometry.front_end import FrontEnd
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.reports.stages import changed_parts, load_stage
 from turtlebag.sim.worlds import load_world, own_files
 
 MODULE = """
 import numpy as np
-from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.odometry.front_end import Placed
 
 class Good:
     def __init__(self, tracker): self.tracker = tracker
@@ -104,7 +104,7 @@ def test_a_class_of_the_current_folder_is_found_by_its_name_and_the_name_by_it(h
     assert parts.source_files({"front_end": f"{here}:Good", "back_end": "gtsam", "loops.match": None}) == {
         "front_end": Path(f"{here}.py")
     }
-    assert parts.find("turtlebag.pipeline.slam.kiss:KissIcp", FrontEnd).__name__ == "KissIcp"
+    assert parts.find("turtlebag.pipeline.slam.odometry.kiss:KissIcp", FrontEnd).__name__ == "KissIcp"
 
 
 def test_a_class_of_the_main_module_has_a_name_and_one_inside_a_function_has_none(monkeypatch):
@@ -244,7 +244,7 @@ def test_a_world_is_a_class_with_options(here):
 def test_a_localiser_and_a_back_end_of_ones_own_do_the_work(here, log, monkeypatch):
     Path(f"{here}_more.py").write_text(
         "from turtlebag.pipeline.localisation.amcl import Amcl\n"
-        "from turtlebag.pipeline.slam.pose_graph import Gtsam\n"
+        "from turtlebag.pipeline.slam.graph.pose_graph import Gtsam\n"
         "asked = []\n"
         "class Mine(Amcl):\n"
         "    def update(self, *given): asked.append('scan'); return super().update(*given)\n"

@@ -6,8 +6,8 @@ import pytest
 from tests.helpers.made_drives import Lie, Sensor, Wheels, make_log, sick
 from tests.helpers.made_logs import office_plan, office_route
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.calibration import Calibration, calibrate
-from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 
 WHEELS = Wheels(scale=-0.02, turn=0.03, bias=0.004)
 

@@ -6,8 +6,8 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.loop_edits import BESIDE, AddedLoop, Edits, KeyEdits, RejectedLoop, load_edits
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.graph.edits import BESIDE, AddedLoop, Edits, KeyEdits, RejectedLoop, load_edits
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 
 TRUE = around_the_room(150)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))

@@ -14,16 +14,16 @@ from tests.helpers.carmen_lines import carmen_text
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam.clouds import make_clouds, point_information
-from turtlebag.pipeline.slam.correspondences import Limits
-from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
-from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
-from turtlebag.pipeline.slam.loop_match import Stretch
-from turtlebag.pipeline.slam.loop_search import MATCHERS
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.track import TrackingConfig
-from turtlebag.pipeline.slam.tracker import Tracker, track_log
-from turtlebag.pipeline.slam.wheel_odometry import Wheels
+from turtlebag.pipeline.slam.loops.by_distance import MATCHERS
+from turtlebag.pipeline.slam.loops.match import Stretch
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
+from turtlebag.pipeline.slam.odometry.front_ends import FRONT_ENDS
+from turtlebag.pipeline.slam.odometry.track import TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import Tracker, track_log
+from turtlebag.pipeline.slam.odometry.wheels import Wheels
+from turtlebag.pipeline.slam.scans.clouds import make_clouds, point_information
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 
 TRUTH = around_the_room(75, laps=1.3)
 ERRORS_M = {"lines": 0.008, "kiss_icp": 0.012, "wheels": 0.012}
@@ -58,7 +58,6 @@ def test_every_front_end_maps_with_every_loop_matcher(log, front_end, match):
 def test_libraries_alone_map_and_give_the_same_bits_again(log):
     alone = {
         "refine": {"rounds": 0},
-        "reregistration": {"enabled": False},
         "tracking": {"calibration": False},
     }
     first, again = (run_slam(log, settings("kiss_icp", "open3d", **alone)) for _ in range(2))

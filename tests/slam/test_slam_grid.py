@@ -8,7 +8,7 @@ from tests.helpers.slam_rooms import LDS, around_the_room, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.occupancy import BEHIND_CELLS, OccupancyConfig, make_grid, thinned, trimmed
+from turtlebag.pipeline.slam.grid import BEHIND_CELLS, OccupancyConfig, make_grid, thinned, trimmed
 
 U, F, X = UNKNOWN, FREE, OCCUPIED
 

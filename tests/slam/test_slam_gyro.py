@@ -12,8 +12,8 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from tests.slam.test_slam_hostile import office
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import ImuLog, Trajectory
-from turtlebag.pipeline.slam.gyro_slip import with_gyro
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.sensors.gyro_slip import with_gyro
 
 TRUTH = around_the_room(300, laps=2)
 BIAS = 0.004

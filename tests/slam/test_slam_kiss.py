@@ -8,7 +8,7 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.se3 import lifted
-from turtlebag.pipeline.slam.kiss import VOXEL_M, KissIcp, LidarOdometry
+from turtlebag.pipeline.slam.odometry.kiss import VOXEL_M, KissIcp, LidarOdometry
 
 POSTS = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 2))
 

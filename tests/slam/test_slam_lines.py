@@ -10,8 +10,8 @@ from tests.helpers.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.pipeline.slam import clouds as module
-from turtlebag.pipeline.slam.clouds import (
+from turtlebag.pipeline.slam.scans import clouds as module
+from turtlebag.pipeline.slam.scans.clouds import (
     KNOTS,
     Clouds,
     bearing_tables,
@@ -22,7 +22,7 @@ from turtlebag.pipeline.slam.clouds import (
     sweep_motion,
     sweep_motion_by_track,
 )
-from turtlebag.pipeline.slam.range_noise import LEAST_M, RangeNoise
+from turtlebag.pipeline.slam.scans.range_noise import LEAST_M, RangeNoise
 
 
 def plain_line(points, lo, hi, i, origin, increment, range_var):

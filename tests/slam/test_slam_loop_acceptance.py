@@ -4,11 +4,11 @@ import numpy as np
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
-from turtlebag.pipeline.slam.factors import Loop
-from turtlebag.pipeline.slam.loop_closure import spanned_steps
-from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig, LoopFinder
-from turtlebag.pipeline.slam.point_to_line_icp import Alignment
+from turtlebag.pipeline.slam.graph.factors import Loop
+from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.loops.closure import spanned_steps
+from turtlebag.pipeline.slam.scans.align import Alignment
+from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
 
 
 def loop(i: int, j: int, verdict: str) -> Loop:

@@ -8,24 +8,25 @@ import pytest
 from tests.helpers.slam_rooms import CORRIDOR, LDS, ROOM, SICK, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.correlative import (
-    UNSEEN,
-    Field,
-    best_pose,
-    make_field,
-    points_in_map,
-)
-from turtlebag.pipeline.slam.correspondences import Limits, find_partner
-from turtlebag.pipeline.slam.joint_refinement import linearise_pairs, overlapping_pairs, pair_constraints
-from turtlebag.pipeline.slam.point_to_line_icp import (
+from turtlebag.pipeline.slam.graph.refinement import pair_constraints
+from turtlebag.pipeline.slam.odometry.track import blind
+from turtlebag.pipeline.slam.scans.align import (
     FAKED,
     STEP_COVARIANCE_SCALE,
     Prior,
     align,
     observable,
 )
-from turtlebag.pipeline.slam.track import blind
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.correlative import (
+    UNSEEN,
+    Field,
+    best_pose,
+    make_field,
+    points_in_map,
+)
+from turtlebag.pipeline.slam.scans.correspondences import Limits, find_partner
+from turtlebag.pipeline.slam.scans.pairs import linearise_pairs, overlapping_pairs
 
 HERE = np.array([1.5, 1.2, 0.3])
 

@@ -15,11 +15,11 @@ from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, 
 from turtlebag.datasets.carmen import parse_carmen
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam import submaps
-from turtlebag.pipeline.slam.cloud_parts import among, chosen, clouds_maker
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
+from turtlebag.pipeline.slam.loops import submaps
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.parts import among, chosen, clouds_maker
 
 POSES = around_the_room(60)
 LOG = recording(ROOM, POSES, LDS, odometry=drifted(POSES))

@@ -12,10 +12,10 @@ from tests.helpers.made_drives import Drive, FloorPlan, make_log
 from tests.helpers.made_logs import arena, burger_lidar
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.pipeline.slam.clouds import USABLE_M
-from turtlebag.pipeline.slam.laser_mounting import facing, stretches, turned_by_deg, ways_of, yaw_error_deg
-from turtlebag.pipeline.slam.range_noise import range_noise
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.scans.clouds import USABLE_M
+from turtlebag.pipeline.slam.scans.range_noise import range_noise
+from turtlebag.pipeline.slam.sensors.mounting import facing, stretches, turned_by_deg, ways_of, yaw_error_deg
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ from tests.helpers.exact_rays import ranges_to
 from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.pipeline.slam.clouds import KNOTS, make_clouds, sweep_motion
-from turtlebag.pipeline.slam.icp_odometry import Lines
-from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
-from turtlebag.pipeline.slam.track import TrackingConfig
-from turtlebag.pipeline.slam.tracker import Tracker
+from turtlebag.pipeline.slam.odometry.line_icp import Lines
+from turtlebag.pipeline.slam.odometry.track import TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import Tracker
+from turtlebag.pipeline.slam.scans.clouds import KNOTS, make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 
 POSES = around_the_room(120)
 

@@ -7,10 +7,10 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
-from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, distrusted, unobserved_way
-from turtlebag.pipeline.slam.point_to_line_icp import STEP_COVARIANCE_SCALE, contradiction
-from turtlebag.pipeline.slam.track import OdometryNoise, Track
+from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track
+from turtlebag.pipeline.slam.odometry.trust import OdometryTrust, distrusted, unobserved_way
+from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE, contradiction
 
 
 def believed(*told):

@@ -12,15 +12,20 @@ import pytest
 from benchmarks.slam_scores import errors
 from tests.helpers.made_logs import arena, posts
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.threads import WORTH_IT, in_parts
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
-from turtlebag.pipeline.slam.open3d_icp import POINT_SIGMA_M, match_points
-from turtlebag.pipeline.slam.point_to_line_icp import STEP_COVARIANCE_SCALE
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.step_constraints import step_constraints
-from turtlebag.pipeline.slam.threads import WORTH_IT, in_parts
-from turtlebag.pipeline.slam.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.steps import step_constraints
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
+from turtlebag.pipeline.slam.scans.clouds import (
+    make_clouds,
+    point_information,
+    sweep_motion,
+    sweep_motion_by_track,
+)
+from turtlebag.pipeline.slam.scans.open3d_icp import POINT_SIGMA_M, match_points
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +214,7 @@ def test_a_map_of_walls_does_without_open3d():
     code = """
 import sys
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 poses = around_the_room(100, laps=1.5)
 config = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
 result = run_slam(recording(ROOM, poses, odometry=drifted(poses)), config)

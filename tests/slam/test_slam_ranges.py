@@ -9,14 +9,14 @@ import pytest
 from tests.helpers.made_logs import rooms
 from tests.helpers.slam_rooms import ROOM, around_the_room
 from tests.helpers.slam_rooms import recording as recorded
-from turtlebag.pipeline.slam.clouds import UNSURE_RAD, make_clouds
-from turtlebag.pipeline.slam.range_calibration import (
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.scans.clouds import UNSURE_RAD, make_clouds
+from turtlebag.pipeline.slam.sensors.range_calibration import (
     BESIDE,
     RangeCalibration,
     calibrate_ranges,
     straight_points,
 )
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 
 ERRORS = RangeCalibration(0.006, -0.003)
 log_of = cache(lambda make: make(1))

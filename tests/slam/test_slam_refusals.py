@@ -8,8 +8,8 @@ import pytest
 from tests.helpers.exact_rays import rectangle
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.slam.loop_edits import AddedLoop, Edits, RejectedLoop
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.graph.edits import AddedLoop, Edits, RejectedLoop
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 
 POSES = around_the_room(60)[:20]
 LOG = recording(ROOM, POSES, odometry=POSES)

@@ -6,9 +6,9 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.slam.cloud_parts import joined_clouds
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.parts import joined_clouds
 from turtlebag.reports.metrics.trajectory import ate
 
 FIRST = around_the_room(100)

@@ -8,10 +8,10 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam import submaps
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.factors import Loop
-from turtlebag.pipeline.slam.pairwise_consistency import agreeing_sets, competing, support
+from turtlebag.pipeline.slam.graph.factors import Loop
+from turtlebag.pipeline.slam.loops import submaps
+from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, support
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 
 
 @pytest.mark.parametrize("broken_at", [(), (9,), (0, 20, 38)])

@@ -10,9 +10,7 @@ from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.pipeline.slam.clouds import KNOTS, make_clouds
-from turtlebag.pipeline.slam.correlative import UNSEEN, Field, best_pose, make_field
-from turtlebag.pipeline.slam.occupancy import (
+from turtlebag.pipeline.slam.grid import (
     Counts,
     OccupancyConfig,
     beam_lengths,
@@ -25,6 +23,8 @@ from turtlebag.pipeline.slam.occupancy import (
     trace,
     trimmed,
 )
+from turtlebag.pipeline.slam.scans.clouds import KNOTS, make_clouds
+from turtlebag.pipeline.slam.scans.correlative import UNSEEN, Field, best_pose, make_field
 
 
 def plain_trace(hits, misses, x, y, dx, dy, length, returned, share):

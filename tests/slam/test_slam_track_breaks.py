@@ -9,11 +9,11 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.icp_odometry import Lines
-from turtlebag.pipeline.slam.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts, track_breaks_of
-from turtlebag.pipeline.slam.tracker import track_log
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_parts, track_breaks_of
+from turtlebag.pipeline.slam.odometry.line_icp import Lines
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.tracker import track_log
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 
 
 def breaks_at(n: int, broken: tuple[int, ...], against: tuple[int, ...]) -> TrackBreaks:

@@ -14,8 +14,15 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.turn_comparison import DELAYS_S, Timing, Turns, compared_turns, delay_of, in_step
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.sensors.turn_comparison import (
+    DELAYS_S,
+    Timing,
+    Turns,
+    compared_turns,
+    delay_of,
+    in_step,
+)
 
 ROUTE = np.array(
     [(14.7, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5), (14.7, 7.0)]

@@ -8,9 +8,9 @@ import pytest
 from tests.helpers.slam_rooms import random_poses
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import ImuLog
-from turtlebag.pipeline.slam import calibration as calib
-from turtlebag.pipeline.slam import gyro_slip as gyros
-from turtlebag.pipeline.slam.calibration import Calibration
+from turtlebag.pipeline.slam.odometry import calibration as calib
+from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.sensors import gyro_slip as gyros
 
 
 def test_baselines_pairs_and_chains_are_sums_along_the_way():

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from turtlebag.pipeline.slam.graph_file import load_session as load_graph
+from turtlebag.pipeline.slam.session_file import load_session as load_graph
 from turtlebag.pipeline.studio.journal import load_session
 
 EARLIER = Path(__file__).with_name("earlier")

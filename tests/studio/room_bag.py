@@ -3,7 +3,7 @@
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.types import Odometry, Scan, Twist
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 
 TRUE = around_the_room(150)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))

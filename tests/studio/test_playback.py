@@ -8,12 +8,12 @@ from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.slam.loop_edits import load_edits
+from turtlebag.pipeline.slam.graph.edits import load_edits
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.playback import Playback
+from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup
 
 
@@ -24,13 +24,13 @@ def bag(tmp_path_factory):
 
 @pytest.fixture
 def played(bag, tmp_path):
-    with Playback(BagSetup(bag), tmp_path, lambda line: None) as one:
+    with Session(BagSetup(bag), tmp_path, lambda line: None) as one:
         yield one
 
 
 @pytest.fixture
 def with_loops(bag, tmp_path):
-    with Playback(BagSetup(bag), tmp_path, lambda line: None, WITH_LOOPS) as one:
+    with Session(BagSetup(bag, WITH_LOOPS), tmp_path, lambda line: None) as one:
         yield one
 
 

@@ -20,7 +20,7 @@ from turtlebag.datasets.types import Imu, Observation, Scan
 from turtlebag.pipeline.localisation.localiser import Localiser as AnyLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
-from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.stages.localise import load_localise_config, started
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.sim.robots import load_robot

@@ -61,7 +61,7 @@ def map(
 ) -> Map:
     """Build a map from a recording: a Bag, a folder, a bag file or a CARMEN log.
 
-    `front_end` is a name or a class (its contract is `turtlebag.pipeline.slam.front_end`). `truth` (a
+    `front_end` is a name or a class (its contract: `turtlebag.pipeline.slam.odometry.front_end`). `truth` (a
     recording) adds error metrics and decides on the verdict, `relations` (a benchmark's file) only adds
     metrics. `also` are later recordings of the
     same place, `continued` an earlier map that the recording is added to. `laser` and `upside_down` override

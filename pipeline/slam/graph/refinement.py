@@ -1,0 +1,103 @@
+"""Joint refinement: every key scan aligned with every key scan it overlaps, all poses at once.
+
+Lu and Milios (1997), with point-to-line distances: each overlapping pair is linearised at the current
+poses into a relative pose with its full information matrix, the pose graph is solved, and the pairs
+are linearised again, the gate shrinking, until nothing moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
+from turtlebag.pipeline.slam.graph.back_end import BackEnd
+from turtlebag.pipeline.slam.graph.edits import NO_EDITS, KeyEdits
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
+from turtlebag.pipeline.slam.graph.pose_graph import GTSAM, Poses, optimise
+from turtlebag.pipeline.slam.scans.align import (
+    CAUCHY,
+    LEAST_OVERLAP,
+    NEIGHBOURS,
+    STEP_COVARIANCE_SCALE,
+)
+from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.correspondences import FINE, ROUGH, Limits
+from turtlebag.pipeline.slam.scans.pairs import (
+    ALIKE,
+    RADIUS_M,
+    match_pairs,
+    overlapping_pairs,
+    partner_radius,
+)
+
+
+class RefineConfig(Settings):
+    """The joint refinement."""
+
+    rounds: int = Field(default=5, ge=0, le=100, description="linearise-and-solve rounds; 0: no refinement")
+
+
+def refine(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    steps: Sequence[Constraint],
+    config: RefineConfig,
+    edits: KeyEdits = NO_EDITS,
+    back_end: BackEnd = GTSAM,
+) -> tuple[SE2, list[Constraint]]:
+    """Refined poses of the key scans and the pair constraints of the last round.
+
+    `steps` are the odometry constraints between successive keys, kept in the graph throughout. Pairs that a
+    person rejected are left out.
+    """
+    radius = partner_radius(clouds)
+    alike = round(ALIKE * radius / RADIUS_M)
+
+    def matched(poses: SE2, f: float) -> list[Constraint]:
+        gate = ROUGH.gate * (FINE.gate / ROUGH.gate) ** f
+        sigma = ROUGH.sigma * (FINE.sigma / ROUGH.sigma) ** f
+        pairs = overlapping_pairs(poses, radius, NEIGHBOURS, alike)
+        pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
+        return pair_constraints(clouds, keys, poses, pairs, Limits(gate, sigma))
+
+    return in_rounds(T_map_keys, steps, config.rounds, matched, back_end.optimise)
+
+
+def in_rounds(
+    T_map_keys: Poses,
+    steps: Sequence[Constraint],
+    rounds: int,
+    matched: Callable[[Poses, float], list[Constraint]],
+    solve: Callable[[Poses, Sequence[Constraint], int], Poses] = optimise,
+) -> tuple[Poses, list[Constraint]]:
+    """Match pairs at the current poses and solve the graph, again and again. `matched` gives the constraints
+    of a round, from its progress: 0 (the first) to 1 (the last)."""
+    poses: Poses = T_map_keys
+    constraints = list(steps)
+    for round_ in range(rounds):
+        f: float = round_ / max(rounds - 1, 1)
+        constraints = [*steps, *matched(poses, f)]
+        poses = solve(poses, constraints, 5)
+    return poses, constraints
+
+
+def pair_constraints(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    pairs: NDArray[np.int64],
+    limits: Limits,
+) -> list[Constraint]:
+    """One constraint for each pair that overlaps enough, linearised at the given poses."""
+    relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, limits)
+    return [
+        Constraint(int(i), int(j), relative[k], information[k] / STEP_COVARIANCE_SCALE, Kind.PAIR, CAUCHY)
+        for k, (i, j) in enumerate(pairs)
+        if overlap[k] >= LEAST_OVERLAP
+    ]

@@ -1,0 +1,344 @@
+"""Occupancy grid from posed scans: hits and misses along every beam, also those without return.
+
+The reflectance model of Haehnel (2004), in the line of Moravec and Elfes (1985): a cell is occupied when
+enough of the beams that met it were returned by it. Unlike summed log-odds this keeps a wall that many
+beams graze. Beams without return (+inf) clear in a second pass, up to the first surface. Cells are
+rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed or counted twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from pydantic import Field
+
+from turtlebag.datasets.deskew import deskewed
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.pipeline.slam.scans.clouds import known_motion
+
+MAX_COUNTED = 400_000_000
+"""Cells for counting beams; most are cut off when the map is trimmed to its known part."""
+# Cells with fewer beams than this are not used for the quality of a map.
+MIN_MET = 3
+# Returns of a distant wall scatter over this many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
+BEHIND_CELLS = 3
+
+
+class OccupancyConfig(Settings):
+    """The occupancy grid."""
+
+    resolution_m: float = Field(default=0.05, ge=0.001, le=1.0)
+    occupied_share: float = Field(
+        default=0.25,
+        gt=0.0,
+        lt=1.0,
+        description="a cell is occupied if at least this share of its beams end in it",
+    )
+    min_hits: int = Field(default=2, ge=1, description="minimum number of returns for an occupied cell")
+    behind_share: float = Field(
+        default=0.5,
+        ge=0.0,
+        le=1.0,
+        description="behind a wall a cell stays occupied with at least this share of the wall's hits",
+    )
+    before_share: float = Field(
+        default=0.25,
+        ge=0.0,
+        le=1.0,
+        description="in front of a wall a cell stays occupied with at least this share of the wall's hits",
+    )
+    margin_m: float = Field(default=0.5, ge=0.0, le=100.0, description="margin around the observed area")
+    no_return_m: float = Field(
+        default=8.0, ge=0.0, description="range that a beam without return clears; 0: none"
+    )
+
+
+class Counts(NamedTuple):
+    """For each cell (rows, cols), the number of beams that it returned, and of those that passed through
+    it."""
+
+    hits: NDArray[np.uint16]
+    misses: NDArray[np.uint16]
+
+    @classmethod
+    def none(cls, rows: int, cols: int) -> Counts:
+        """No beams so far."""
+        return cls(np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16))
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """How certain the cells are: mean entropy of the cells with at least MIN_MET beams [bit], and the share
+    of beams returned by a wall's cells among those that reached them; NaN without such cells."""
+
+    entropy_bits: float
+    wall_share: float
+
+
+def make_grid(
+    recording: Recording,
+    T_map_base: SE2,
+    config: OccupancyConfig,
+    usable_range: float,
+    motion: SE2 | None = None,
+) -> OccupancyGrid:
+    """Grid of all scans at poses (n,); cell borders lie on multiples of the resolution."""
+    return make_checked_grid(recording, T_map_base, config, usable_range, motion)[0]
+
+
+def make_checked_grid(
+    recording: Recording,
+    T_map_base: SE2,
+    config: OccupancyConfig,
+    usable_range: float,
+    motion: SE2 | None = None,
+) -> tuple[OccupancyGrid, Certainty]:
+    """As `make_grid`, with the quality of the counts behind it."""
+    lidar, resolution = recording.lidar, config.resolution_m
+    usable = min(lidar.range_max, usable_range)
+    ranges, no_return = np.asarray(recording.ranges), min(usable, config.no_return_m)
+    length, returned = beam_lengths(ranges, lidar, usable, no_return, recording.stride)
+    T_map_lidar = T_map_base @ recording.T_base_lidar
+    seen = length.max(axis=1)[:, None]
+    low = (T_map_lidar.xy - seen).min(axis=0) - config.margin_m
+    high = (T_map_lidar.xy + seen).max(axis=0) + config.margin_m
+    corner = np.floor(low / resolution)
+    extent = np.ceil(high / resolution) - corner
+    _require_cells(extent[::-1].tolist(), MAX_COUNTED, resolution)
+    cols, rows = extent.astype(int)
+    knots = known_motion(recording, motion).xyt
+    if rows * cols > MAX_CELLS and not knots.any():
+        # much of the counted area may be trimmed, so only an area that is too large for certain is refused
+        known = _known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution)
+        _require_cells(known, MAX_CELLS, resolution)
+    counts, T_grid_base = Counts.none(rows, cols), T_map_base.xyt - np.array([*(corner * resolution), 0.0])
+    seen_from = (lidar.directions, recording.T_base_lidar.xyt, knots)
+    cast_beams(counts, resolution, (length, returned), seen_from, T_grid_base, config.occupied_share)
+    return trimmed(classify(counts, config), corner, config), certainty(counts, config.min_hits)
+
+
+def certainty(counts: Counts, min_hits: int) -> Certainty:
+    """How well the beams agree on the cells: a wall that is drawn twice is seen through, and so uncertain."""
+    hits, misses = counts
+    met = hits.astype(np.int32) + misses
+    known = met >= MIN_MET
+    if not known.any():
+        return Certainty(math.nan, math.nan)
+    share = hits[known] / met[known]
+    entropy = scipy.special.entr(share) + scipy.special.entr(1.0 - share)
+    walls = hits[known] >= min_hits
+    wall_share = float(share[walls].mean()) if walls.any() else math.nan
+    return Certainty(float(entropy.mean() / math.log(2.0)), wall_share)
+
+
+def beam_lengths(
+    ranges: NDArray[np.float32], lidar: LidarSpec, usable: float, no_return: float, stride: int = 1
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Length over which each beam is free [m], and whether it ends on a surface, (n, beams) each.
+
+    A lone beam without return between two returns is a dropout, not open space, and is not used. Neighbours
+    are about `stride` beams away.
+    """
+    surface, nothing = lidar.returns(ranges), lidar.silent(ranges)
+    returned, far = surface & (ranges <= usable), surface & (ranges > usable)
+    open_space, beams = np.zeros_like(nothing), ranges.shape[1]
+    for apart in range(stride - stride // 4, stride + stride // 4 + 1):
+        padded = np.pad(nothing | far, ((0, 0), (apart, apart)), mode="edge")
+        open_space |= nothing & (padded[:, :beams] | padded[:, -beams:])
+    length = np.where(returned, ranges, np.where(far, usable, np.where(open_space, no_return, 0.0)))
+    return length.astype(np.float32), returned
+
+
+def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
+    """Occupied, free or unknown."""
+    hits, misses = counts
+    seen = hits.astype(np.int32) + misses
+    cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)
+    cells[misses > 0] = FREE
+    cells[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
+    return thinned(cells, hits, config.behind_share, config.before_share)
+
+
+@njit(cache=True)
+def thinned(
+    cells: NDArray[np.int8], hits: NDArray[np.uint16], behind: float, before: float
+) -> NDArray[np.int8]:
+    """Walls as thin as the range noise allows: of two occupied cells one behind the other the weaker goes.
+
+    A cell behind a wall (no free neighbour) becomes unknown when one that does face free space, at most
+    BEHIND_CELLS before it with nothing free between, was hit more than 1 / `behind` times as often: its
+    hits overshot. A cell that faces free space becomes free when the occupied one right behind it was hit
+    more than 1 / `before` times as often: its hits fell short. Where both are hit alike the surface lies on
+    their border, and both stay.
+    """
+    rows, cols = cells.shape
+    out = cells.copy()
+    for row in range(rows):
+        for col in range(cols):
+            if cells[row, col] != OCCUPIED or beside(cells, row, col, FREE):
+                continue
+            for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                r, c = row, col
+                for _ in range(BEHIND_CELLS):
+                    r, c = r + dr, c + dc
+                    if not (0 <= r < rows and 0 <= c < cols) or cells[r, c] == FREE:
+                        break
+                    wall = cells[r, c] == OCCUPIED and beside(cells, r, c, FREE)
+                    if wall and hits[row, col] < behind * hits[r, c]:
+                        out[row, col] = UNKNOWN
+                        break
+    kept = out.copy()
+    for row in range(1, rows - 1):
+        for col in range(1, cols - 1):
+            # a cell next to unknown space closes the wall and stays
+            if kept[row, col] != OCCUPIED or beside(kept, row, col, UNKNOWN):
+                continue
+            for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                r, c = row + dr, col + dc
+                if cells[row - dr, col - dc] != FREE or kept[r, c] != OCCUPIED:
+                    continue
+                if hits[row, col] < before * hits[r, c]:
+                    out[row, col] = FREE
+    return out
+
+
+@njit(cache=True)
+def beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
+    """Whether one of the four neighbours is `what`."""
+    rows, cols = cells.shape
+    return (
+        (row > 0 and cells[row - 1, col] == what)
+        or (row < rows - 1 and cells[row + 1, col] == what)
+        or (col > 0 and cells[row, col - 1] == what)
+        or (col < cols - 1 and cells[row, col + 1] == what)
+    )
+
+
+def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:
+    """The known part of cells (rows, cols) with a margin; `corner` is in cells, x first. InputError if the
+    map is too large for any program."""
+    known_rows = np.flatnonzero((cells != UNKNOWN).any(axis=1))
+    known_cols = np.flatnonzero((cells != UNKNOWN).any(axis=0))
+    if len(known_rows) == 0:
+        known_rows = known_cols = np.array([0])
+    border = math.ceil(config.margin_m / config.resolution_m)
+    r0, r1 = max(known_rows[0] - border, 0), known_rows[-1] + border + 1
+    c0, c1 = max(known_cols[0] - border, 0), known_cols[-1] + border + 1
+    kept = cells[r0:r1, c0:c1].copy()
+    _require_cells(kept.shape, MAX_CELLS, config.resolution_m)
+    x, y = (corner + np.array([c0, r0])) * config.resolution_m
+    return OccupancyGrid(kept, config.resolution_m, SE2.from_xyt(x, y, 0.0))
+
+
+def _known(
+    T_map_lidar: SE2, lidar: LidarSpec, length: NDArray[np.float32], resolution: float
+) -> tuple[int, int]:
+    """The least rows and columns of the map: beams of these lengths (n, beams) passed all cells but the last,
+    whose return may have overshot."""
+    low, high = T_map_lidar.xy.min(axis=0), T_map_lidar.xy.max(axis=0)
+    for angle, reach in zip(lidar.angles.tolist(), length.T, strict=True):
+        yaw, passed = T_map_lidar.yaw + angle, np.maximum(reach - (BEHIND_CELLS + 1) * resolution, 0.0)
+        ends = T_map_lidar.xy + passed[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
+    cols, rows = np.floor((high - low) / resolution).astype(int).tolist()
+    return rows, cols
+
+
+def _require_cells(shape: Sequence[float], most: int, resolution: float) -> None:
+    """InputError for more cells than allowed, naming a resolution [m] that leaves a tenth to spare."""
+    rows, cols = shape
+    if rows * cols > most:
+        fits = 1.1 * resolution * math.sqrt(rows / most * cols)
+        raise InputError(
+            f"the map would have {rows:.12g} x {cols:.12g} cells; choose a larger grid.resolution_m, "
+            f"{fits:.2g} m say (it is {resolution:g} m)"
+        )
+
+
+@njit(cache=True)
+def cast_beams(
+    counts: Counts,
+    resolution: float,
+    beams: tuple[NDArray, NDArray],
+    lidar: tuple[Array, Array, Array],
+    T_grid_base: Array,
+    share: float,
+) -> None:
+    """Trace the beams that returned, then those that did not: surfaces stop them.
+
+    `beams` are lengths and whether they returned, as of `beam_lengths`; `lidar` are the unit vectors of the
+    beams, T_base_lidar, and the base's motion during each sweep, as of `known_motion`.
+    """
+    (length, returned), (directions, T_base_lidar, motion) = beams, lidar
+    n_scans, n_beams = length.shape
+    fractions = np.linspace(0.0, 1.0, n_beams)
+    for with_return in (True, False):
+        for scan in range(n_scans):
+            origins, ways = deskewed(directions, fractions, T_base_lidar, motion[scan])
+            c, s = math.cos(T_grid_base[scan, 2]), math.sin(T_grid_base[scan, 2])
+            for beam in range(n_beams):
+                reach = float(length[scan, beam])
+                if reach <= 0.0 or returned[scan, beam] != with_return:
+                    continue
+                x = T_grid_base[scan, 0] + c * origins[beam, 0] - s * origins[beam, 1]
+                y = T_grid_base[scan, 1] + s * origins[beam, 0] + c * origins[beam, 1]
+                dx = c * ways[beam, 0] - s * ways[beam, 1]
+                dy = s * ways[beam, 0] + c * ways[beam, 1]
+                start = (x / resolution, y / resolution)
+                trace(counts, start, (dx, dy), reach / resolution, with_return, share)
+
+
+@njit(cache=True)
+def trace(
+    counts: Counts,
+    start: tuple[float, float],
+    direction: tuple[float, float],
+    length: float,
+    returned: bool,
+    share: float,
+) -> None:
+    """Count one beam from `start` (x, y) along the unit vector `direction`, all in cells.
+
+    The cell before the return is spared: range noise and the wall's own thickness put returns there.
+    A beam without return ends at the first cell that others saw occupied.
+    """
+    (hits, misses), (x, y), (dx, dy) = counts, start, direction
+    rows, cols = hits.shape
+    col, row = math.floor(x), math.floor(y)
+    end_col, end_row = math.floor(x + dx * length), math.floor(y + dy * length)
+    step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    next_c = ((col + (step_c > 0)) - x) / dx if dx != 0.0 else math.inf
+    next_r = ((row + (step_r > 0)) - y) / dy if dy != 0.0 else math.inf
+    delta_c = abs(1.0 / dx) if dx != 0.0 else math.inf
+    delta_r = abs(1.0 / dy) if dy != 0.0 else math.inf
+    spared = length - 1.0 if returned else length
+    while not (col == end_col and row == end_row):
+        leave = min(next_c, next_r)
+        if 0 <= row < rows and 0 <= col < cols:
+            if leave > spared and misses[row, col] > 0:
+                break
+            if not returned and hits[row, col] > share * (hits[row, col] + misses[row, col]):
+                return
+            if misses[row, col] < 65535:
+                misses[row, col] += 1
+        if leave > length:
+            break
+        if next_c < next_r:
+            col += step_c
+            next_c += delta_c
+        else:
+            row += step_r
+            next_r += delta_r
+    if returned and 0 <= end_row < rows and 0 <= end_col < cols and hits[end_row, end_col] < 65535:
+        hits[end_row, end_col] += 1

@@ -1,0 +1,135 @@
+"""Break detection: steps of a track whose motion neither scans nor odometry confirm.
+
+The motion between two scans is measured twice, by the scans and by the odometry. If scans are missing for a
+while, or one fits nothing seen before, and the two do not clearly confirm each other, the track
+is broken: the robot may be anywhere. Where scans are blind along a corridor, drift grows faster than
+elsewhere. Both determine how far off a place may be when the robot returns to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.odometry.track import Track, blind
+from turtlebag.pipeline.slam.odometry.trust import agree, too_fast
+from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
+from turtlebag.pipeline.slam.scans.clouds import GAP_S
+
+# A gap is at least this many usual periods long.
+GAP_PERIODS = 8.0
+STAMPS_NEAR = 12
+# After a wait this short, odometry alone may determine a blind direction, because it says nothing impossible.
+# After a longer one it may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back),
+# and a scan aligned from its prediction agrees with it in any case: most of the scan must then lie on known
+# surfaces.
+SHORT_S, SURE_OVERLAP = 5.0, 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class TrackBreaks:
+    """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it), whether
+    scans and odometry contradict each other, whether only odometry observed it. `gaps` (n, 2) are the last
+    scan before and the first after each break."""
+
+    broken: NDArray[np.bool_]
+    contradicted: NDArray[np.bool_]
+    alone: NDArray[np.bool_]
+    gaps: NDArray[np.int64]
+
+    def segments(self) -> NDArray[np.int64]:
+        """The number of the unbroken part that each key belongs to, (keys,)."""
+        return np.concatenate([[0], np.cumsum(self.broken)])
+
+    def first(self, steps: int) -> TrackBreaks:
+        """Its first `steps` steps."""
+        return replace(
+            self,
+            broken=self.broken[:steps],
+            contradicted=self.contradicted[:steps],
+            alone=self.alone[:steps],
+        )
+
+    def bridged(self, unbridged: NDArray[np.bool_]) -> TrackBreaks:
+        """Only the unbridged breaks, `unbridged` (keys - 1,)."""
+        broken = self.broken & unbridged
+        return TrackBreaks(broken, self.contradicted & broken, self.alone & broken, self.gaps)
+
+
+def joined_breaks(a: TrackBreaks, b: TrackBreaks, scans: int, *, broken: bool = False) -> TrackBreaks:
+    """The breaks of two recordings, one located in the map of the other, or not yet: then there is one
+    between them. `scans` is the number of scans of the first."""
+    border, no = np.array([broken]), np.zeros(1, dtype=bool)
+    return TrackBreaks(
+        np.concatenate([a.broken, border, b.broken]),
+        np.concatenate([a.contradicted, border, b.contradicted]),
+        np.concatenate([a.alone, no, b.alone]),
+        np.concatenate([a.gaps, b.gaps + scans]),
+    )
+
+
+def joined_parts(
+    breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) without weight,
+    because their ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken
+    step that nothing contradicts still connects."""
+    segment = breaks.segments()
+    part = np.arange(segment[-1] + 1)
+    for i, j in joins:
+        part[part == part[segment[i]]] = part[segment[j]]
+    released = np.zeros(len(breaks.broken), dtype=bool)
+    for step in np.flatnonzero(breaks.broken).tolist():
+        one, two = part[segment[step]], part[segment[step + 1]]
+        released[step] = one == two
+        if not breaks.contradicted[step]:
+            part[part == two] = one
+    return np.asarray(part[segment]), released
+
+
+def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
+    """Judge every step between the key scans of a track."""
+    T, keys = track.T_track_base, track.keys
+    sure = ~blind(track.information) & (track.overlap >= SURE_OVERLAP)
+    broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
+    gaps = []
+    # the first scan that fits nothing seen just before follows a gap, whatever the stamps say
+    strange = track.usable & (track.overlap < LEAST_OVERLAP)
+    first = 1 + np.flatnonzero(strange[1:] & ~strange[:-1])
+    missing = gaps_between(recording.stamps_ns, track.usable)
+    waited = np.unique(np.concatenate([missing, np.stack([first - 1, first], axis=1)]), axis=0)
+    for (before, after), fast in zip(waited, too_fast(recording, track, T, *waited.T), strict=True):
+        step = int(np.searchsorted(keys, after)) - 1
+        if not 0 <= step < len(keys) - 1:
+            continue
+        agreed = agree(recording, track, before, after, T) and not fast
+        wait = seconds(int(recording.stamps_ns[after] - recording.stamps_ns[before]))
+        fits = track.overlap[after] >= LEAST_OVERLAP
+        if not (agreed and fits and (wait < SHORT_S or sure[after])):
+            broken[step] = True
+            contradicted[step] |= not agreed
+            alone[step] |= not fits
+            gaps.append((before, after))
+    between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
+    return TrackBreaks(broken, contradicted, alone, between)
+
+
+def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Pairs (n, 2) of successive scans that `saw` something, with a long time between them in which none
+    did."""
+    usable = np.flatnonzero(saw)
+    stamps = seconds(stamps_ns[usable])
+    if len(stamps) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    # stamps out of order make false gaps, so the latest before is compared with the earliest after
+    padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
+    waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
+    usual = float(np.median(np.abs(np.diff(stamps))))
+    long = np.flatnonzero(waits > max(GAP_S, GAP_PERIODS * usual))
+    return np.stack([usable[long], usable[long + 1]], axis=1)

@@ -1,0 +1,103 @@
+"""The track, the front end's result: a pose and a quality for every scan. Also the tracking settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.datasets.settings import Settings
+from turtlebag.pipeline.slam.graph.pose_graph import WEAK, Poses, relative
+from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, Calibration
+
+HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery", "standstill")
+# How far scans and odometry may differ about a motion [m]; [rad], and as a share of the motion.
+AGREE_M, AGREE = 0.3, 0.15
+# A scan is blind if its information along one direction is at most this share of that along the other.
+BLIND = 0.01
+NO_GAPS = np.zeros((0, 2), dtype=np.int64)
+
+
+class OdometryNoise(Settings):
+    """Standard deviations of an odometry step, along, across [m] and in turn [rad]."""
+
+    floor: float = Field(default=0.005, gt=0.0, description="noise at rest [m], [rad]")
+    share: float = Field(default=ODOMETRY_SHARE, ge=0.0, description="share of distance and turn")
+
+    def information(self, delta: Array) -> Array:
+        """Information (3, 3) of one step (3,), in the frame of its end."""
+        distance, turn = float(np.hypot(delta[0], delta[1])), abs(float(delta[2]))
+        sigma = self.floor + self.share * np.array([distance, distance, distance + turn])
+        return np.diag(sigma**-2.0)
+
+
+class TrackingConfig(Settings):
+    """The front end."""
+
+    key_distance_m: float = Field(default=0.3, ge=0.001)
+    key_turn_rad: float = Field(default=0.4, ge=0.001)
+    calibration: bool = Field(default=True, description="learn the odometry's systematic errors")
+    odometry: OdometryNoise = OdometryNoise()
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Front-end result: a pose per scan, which scans are key scans, and the fit of each scan.
+
+    `information` (n, 3, 3) is that of the scan alone, without blind directions; `source` names the hypothesis
+    that won per scan (index into HYPOTHESES). `odometry_steps` (keys - 1, 3) are the calibrated odometry's
+    motions between successive key scans, None without odometry. `usable` says which scans had points to
+    align.
+    """
+
+    T_track_base: SE2
+    keys: NDArray[np.int64]
+    overlap: Array
+    rmse: Array
+    information: Array
+    source: NDArray[np.int8]
+    odometry_steps: Array | None
+    calibration: Calibration
+    usable: NDArray[np.bool_]
+
+
+def blind(information: Array) -> NDArray[np.bool_]:
+    """Whether scans with information (..., 3, 3) observe only one direction when their yaw is unknown."""
+    with_yaw, of_yaw = information[..., :2, 2:], np.maximum(information[..., 2:, 2:], WEAK)
+    seen = np.linalg.eigvalsh(information[..., :2, :2] - with_yaw @ np.swapaxes(with_yaw, -1, -2) / of_yaw)
+    return np.asarray(seen[..., 0] <= BLIND * np.maximum(seen[..., 1], WEAK))
+
+
+def confirms(odometry: Array, motion: Array) -> bool:
+    """Whether odometry and scans agree on a motion (3,)."""
+    apart = between(odometry, motion)
+    distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
+    return bool(
+        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE * distance and abs(apart[2]) < AGREE + AGREE * turn
+    )
+
+
+def carried_poses(
+    T_track: Poses, keys: NDArray[np.int64], T_map_keys: Poses, gaps: NDArray[np.int64] = NO_GAPS
+) -> Poses:
+    """Each scan of a track moved with the key scans before and after it, their corrections blended.
+
+    Across `gaps` (n, 2), last scan before and first scan after each, the track does not know the motion, or
+    jumps: scans before a gap move with the key before it alone, scans after it with the key after it.
+    """
+    scans = np.arange(len(T_track))
+    before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
+    after = np.minimum(before + 1, len(keys) - 1)
+    from_before = T_map_keys[before] @ relative(T_track[keys[before]], T_track)
+    from_after = T_map_keys[after] @ relative(T_track[keys[after]], T_track)
+    fraction = np.maximum(scans - keys[before], 0) / np.maximum(keys[after] - keys[before], 1)
+    for last, first in gaps.tolist():
+        within = (before == before[last]) & (scans < keys[after[last]])
+        fraction[within] = np.clip((scans[within] - last) / (first - last), 0.0, 1.0)
+    if isinstance(from_before, SE2):
+        return from_before.interpolate(from_after, fraction)
+    return se3.interpolate(from_before, from_after, fraction)

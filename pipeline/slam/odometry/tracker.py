@@ -1,0 +1,188 @@
+"""The tracker runs a front end over a log: odometry, key scans, calibration, and the resulting track.
+
+A `FrontEnd` estimates the pose of each scan in order. Until the first scan that others can be
+matched with, odometry alone is used; a scan becomes a key scan when the
+robot has moved on, the scan has something to match, and the front end is sure of its pose. The
+odometry's systematic errors are learnt from the key scans on the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.se2 import SE2, Array, between, compose
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
+from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.scans.clouds import GAP_S, Clouds
+from turtlebag.pipeline.slam.scans.correlative import Field, best_pose, make_field
+
+# Key scans in the coarse search's field, and the size of its cells [m].
+FIELD_KEYS, FIELD_M = 30, 0.1
+
+
+class Tracker:
+    """The log as far as it is tracked. `scan` is the one placed last, or being placed; `velocity` (3,) is the
+    motion of the last placed scan since the one before, `keys` are the key scans. `max_range` is how far the
+    lidar is used [m]."""
+
+    def __init__(
+        self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float, make: Maker
+    ) -> None:
+        self.clouds, self.config, self.max_range = clouds, config, max_range
+        self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
+        self.scan, self.velocity = 0, np.zeros(3)
+        self.keys: list[int] = []
+        self.calibration = Calibration()
+        self._make = make
+        self._front_end: FrontEnd | None = None
+        self._field: Field | None = None
+        first = np.zeros(3) if self.odometry is None else self.odometry[0].copy()
+        self._placed = [Placed(first, np.zeros((3, 3)), 1.0)]
+        self._add_key()
+
+    def extend(self, clouds: Clouds, T_odom_base: Array | None) -> None:
+        """Continue with a longer log: all its scans, and odometry (n, 3), if there is any."""
+        self.clouds, self.odometry = clouds, T_odom_base
+
+    def forget(self, scans: NDArray[np.bool_]) -> None:
+        """Keep only these scans (n,): they are numbered anew, and so are the key scans among them. `extend`
+        must follow, with the log numbered likewise."""
+        stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
+        self.keys = [int(number[key]) for key in self.keys if stays[key]]
+        self._placed = [self._placed[k] for k in np.flatnonzero(stays).tolist()]
+        self.scan, self._field = int(number[self.scan]), None
+        if len(self.keys) < n_keys:
+            # the distance between successive key scans is no longer the distance driven
+            self.config = self.config.model_copy(update={"calibration": False})
+
+    def step(self, wait_s: float) -> None:
+        """Place the next scan, taken this long after the last one [s]."""
+        before, self.scan = self.scan, self.scan + 1
+        step = None if self.odometry is None else self.odometry_since(before)
+        if self._front_end is None:
+            pose = self.pose if step is None else compose(self.pose, step)
+            placed, moved = Placed(pose, np.zeros((3, 3)), 0.0), True
+        else:
+            said = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
+            # The front end may continue with its own arrays.
+            own = np.array(said.T_track_base, np.float64), np.array(said.information, np.float64)
+            placed = replace(said, T_track_base=own[0], information=own[1])
+            # their fit and information were those at the poses that they leave
+            for scan, pose in placed.revised:
+                if scan not in self.keys:
+                    source = self._placed[scan].source
+                    self._placed[scan] = replace(placed, T_track_base=pose, source=source, revised=())
+            # the motion across a gap does not predict the next step
+            gap = abs(wait_s) > GAP_S
+            self.velocity = np.zeros(3) if gap else between(self.pose, placed.T_track_base)
+            moved = self._moved_enough(placed.T_track_base)
+        self._placed.append(placed)
+        if moved and placed.sure and self._has_matches(self.scan):
+            self._add_key()
+
+    @property
+    def pose(self) -> Array:
+        """Pose of the last scan (3,)."""
+        return self.placed.T_track_base
+
+    def last_keys(self, n: int) -> tuple[NDArray[np.int64], Array]:
+        """The last n key scans, (k,), and their poses, (k, 3)."""
+        keys = self.keys[-n:]
+        return np.array(keys), np.array([self.pose_of(key) for key in keys])
+
+    def pose_of(self, scan: int) -> Array:
+        """The current pose of a scan (3,)."""
+        return self._placed[scan].T_track_base
+
+    def odometry_since(self, before: int, scan: int | None = None) -> Array:
+        """Motion (3,) from one scan to another (the current one) by the calibrated odometry."""
+        assert self.odometry is not None
+        now = self.scan if scan is None else scan
+        return self.calibration.corrected(between(self.odometry[before], self.odometry[now]))
+
+    def fit(self, points: Array, pose: Array) -> float:
+        """How well points (n, 2) at a pose (3,) fit the last key scans, 0..1."""
+        return best_pose(self.field, points, pose, 0.0, 0.0, 1.0)[1]
+
+    @property
+    def field(self) -> Field:
+        """The last key scans as a field to search in."""
+        if self._field is None:
+            self._field = make_field(self.clouds, *self.last_keys(FIELD_KEYS), FIELD_M)
+        return self._field
+
+    def track(self, first: int = 0) -> Track:
+        """The resulting track; from a key scan `first` on, which becomes scan 0 and key scan 0."""
+        begin, steps = self.keys[first], None
+        placed, keys = self._placed[begin:], self.keys[first:]
+        if self.odometry is not None:
+            steps = self.calibration.corrected(SE2(self.odometry[keys]).steps())
+        return Track(
+            SE2(np.array([one.T_track_base for one in placed])),
+            np.array(keys) - begin,
+            np.array([one.overlap for one in placed]),
+            np.array([one.rmse for one in placed]),
+            np.array([one.information for one in placed]),
+            np.array([one.source for one in placed], dtype=np.int8),
+            steps,
+            self.calibration,
+            np.array([self._has_matches(scan) for scan in range(begin, self.scan + 1)]),
+        )
+
+    @property
+    def placed(self) -> Placed:
+        """The front end's result for the last scan."""
+        return self._placed[-1]
+
+    def calibrate(self) -> None:
+        """Calibrate the odometry as far as the key scans allow."""
+        if self.odometry is not None and self.config.calibration and len(self.keys) > 1:
+            T_odom_keys = SE2(self.odometry[self.keys])
+            keys, T_track_keys = self.last_keys(len(self.keys))
+            self.calibration = calibrate(self.clouds, keys, SE2(T_track_keys), T_odom_keys)
+
+    def _has_matches(self, scan: int) -> bool:
+        """Whether others can be matched with a scan."""
+        return self.clouds.placed_by(scan) != "nothing"
+
+    def _moved_enough(self, pose: Array) -> bool:
+        delta, config = between(self.pose_of(self.keys[-1]), pose), self.config
+        return bool(
+            np.hypot(delta[0], delta[1]) > config.key_distance_m or abs(delta[2]) > config.key_turn_rad
+        )
+
+    def _add_key(self) -> None:
+        self.keys.append(self.scan)
+        self._field = None
+        if self._front_end is None and self._has_matches(self.scan):
+            self._front_end = self._make(self)
+        if len(self.keys) & (len(self.keys) - 1) == 0:  # again whenever their number has doubled
+            self.calibrate()
+
+
+Maker = Callable[[Tracker], FrontEnd]
+"""Makes a front end for a tracker whose last scan is the first that others can be matched with."""
+
+
+def track_log(
+    recording: Recording,
+    clouds: Clouds,
+    config: TrackingConfig,
+    max_range: float,
+    scans: Iterable[int],
+    make: Maker,
+) -> Track:
+    """Run a front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers)."""
+    tracker = Tracker(clouds, recording, config, max_range, make)
+    waits_s = seconds(np.diff(recording.stamps_ns)).tolist()
+    for scan in scans:
+        tracker.step(waits_s[scan - 1])
+    tracker.calibrate()
+    return tracker.track()

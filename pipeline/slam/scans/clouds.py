@@ -1,0 +1,329 @@
+"""The scans of a log as points with surface lines, the input of all matching.
+
+Points of all scans lie in one array, scan i in rows `starts[i]:starts[i + 1]`; the numba kernels take
+the tuple whole. Each point carries the line fitted to its neighbours on the same
+surface; where there is none (lone returns, corners of the visible part) `line_ok` is False.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.deskew import deskewed
+from turtlebag.datasets.durations import nanoseconds, seconds
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.threads import in_parts
+from turtlebag.datasets.types import NOTHING_M, Recording
+from turtlebag.pipeline.slam.scans.range_noise import LEAST_M, RangeNoise, range_noise
+
+# A scan with fewer points, or fewer points with a surface line, cannot be matched; nor are lines used if most
+# points have none: posts, table legs, thin trunks.
+MIN_LINES, LINE_SHARE = 8, 0.3
+# Number of instants, evenly spaced, at which the motion within a sweep is kept: a robot may stop turning
+# within one.
+KNOTS = 8
+# No robot drives faster than this many times what it hardly ever exceeds; any robot may drive and turn this
+# fast [m/s, rad/s], however rarely it does.
+FASTER, NEARLY_ALWAYS = 1.3, 0.98
+ANY_ROBOT = (1.0, 4.0)
+# Between scans further apart than this [s] nothing is known.
+GAP_S = 2.0
+# Returns up to this far apart [m], or this many beam spacings of a perpendicular hit, may lie on one surface:
+# at a grazing angle, those of a wall are far apart. With the reach in place of both, acapulco, the long
+# corridor and ACES get worse by up to a tenth.
+MIN_GAP_M, GRAZING = 0.06, 6.0
+# A line extends this far from its point [m], or this many beam spacings, and on to MAX_REACH_M while its
+# direction is less certain than it should be.
+MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
+# A line is rejected if its returns deviate from it by more than noise explains, at one error in a thousand.
+Z_SURFACE = 3.09
+# Returns beyond this are not used [m]: the farther a wall, the fewer beams hit it.
+USABLE_M = 30.0
+# A line whose direction is less certain than this is not used.
+UNSURE_RAD = 0.3
+
+
+class Clouds(NamedTuple):
+    """Points of many scans; `points`, `normals`, `centers` are (m, 2) in the base frame at the scan's stamp.
+
+    `normals` are unit vectors towards the sensor, `centers` a point of the fitted line (its centroid);
+    `point_var` is the variance of each point along its normal [m^2], `normal_var` that of the normal's
+    direction [rad^2]; `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point
+    seen there, or -1. What is fitted is in single precision: 2 micrometres at 30 m.
+    """
+
+    points: Array
+    normals: NDArray[np.float32]
+    centers: NDArray[np.float32]
+    line_ok: NDArray[np.bool_]
+    point_var: NDArray[np.float32]
+    normal_var: NDArray[np.float32]
+    starts: NDArray[np.int64]
+    table: NDArray[np.int32]
+    origin: Array
+
+    def of(self, scan: int) -> Array:
+        """Points of one scan, (k, 2)."""
+        return self.points[self.starts[scan] : self.starts[scan + 1]]
+
+    def lines(self, scan: int) -> int:
+        """Points of one scan that have a surface line."""
+        return int(np.count_nonzero(self.line_ok[self.starts[scan] : self.starts[scan + 1]]))
+
+    def placed_by(self, scan: int) -> Literal["lines", "points", "nothing"]:
+        """Whether a scan is matched by lines or by points."""
+        points, lines = int(self.starts[scan + 1] - self.starts[scan]), self.lines(scan)
+        if lines >= max(MIN_LINES, LINE_SHARE * points):
+            return "lines"
+        return "points" if points >= MIN_LINES else "nothing"
+
+
+class KeyScans(NamedTuple):
+    """The key scans of a log: `keys` (k,) are their numbers in the clouds."""
+
+    clouds: Clouds
+    keys: NDArray[np.int64]
+
+
+PER_POINT = ("points", "normals", "centers", "line_ok", "point_var", "normal_var")
+"""The arrays of Clouds with a row for each point."""
+
+
+def point_information(points: Array) -> Array:
+    """Information (3, 3) about the pose from matched points (n, 2), for errors of 1 m each."""
+    n, (x, y) = len(points), points.sum(axis=0)
+    return np.array([[n, 0.0, -y], [0.0, n, x], [-y, x, float((points**2).sum())]])
+
+
+def make_clouds(
+    recording: Recording,
+    usable_range: float,
+    motion: SE2 | None = None,
+    noise: RangeNoise | None = None,
+    scans: NDArray[np.int64] | None = None,
+) -> Clouds:
+    """Deskewed points of every scan, or of `scans` (k,) numbered anew.
+
+    `motion` (n, KNOTS) is the base's during each sweep as `sweep_motion` gives it; None uses the log's own
+    odometry where the beams are taken one after another. `noise` is the lidar's; None estimates it from the
+    log.
+    """
+    noise = range_noise(recording, usable_range) if noise is None else noise
+    lidar, some = recording.lidar, slice(None) if scans is None else scans
+    readings, knots = recording.ranges[some], known_motion(recording, motion)[some].xyt
+    valid = lidar.returns(readings) & (readings <= usable_range)
+    starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
+    points, point_var = np.empty((starts[-1], 2)), np.empty(starts[-1], dtype=np.float32)
+    origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
+    increment = abs(lidar.angle_increment) * recording.stride
+    n_bins = max(8, round(2.0 * math.pi / increment))
+    normals, centers = (np.zeros(points.shape, dtype=np.float32) for _ in range(2))
+    line_ok, normal_var = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points), dtype=np.float32)
+    table = np.full((len(readings), n_bins), -1, dtype=np.int32)
+
+    def prepare(rows: slice) -> None:
+        part = starts[rows.start : rows.stop + 1]
+        these, ranges = slice(part[0], part[-1]), readings[rows][valid[rows]].astype(np.float64)
+        _place(valid[rows], ranges, lidar.directions, recording.T_base_lidar.xyt, knots[rows], points[these])
+        centers[these], point_var[these] = points[these], noise.variance(ranges)
+        fit_lines(points, part, origin, increment, (normals, centers, line_ok, point_var, normal_var))
+        bearing_tables(points, part, origin, table[rows])
+
+    in_parts(prepare, len(readings))
+    return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
+
+
+def fastest(moved: Array, seconds: Array) -> Array:
+    """Speeds (2,) [m/s, rad/s] that a robot never exceeds, from its motions (n, 2) over intervals (n,)
+    [s]."""
+    usual = np.quantile(moved / seconds[:, None], NEARLY_ALWAYS, axis=0)
+    return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
+
+
+def way_and_turn(steps: Array) -> Array:
+    """Distance [m] and turn [rad] of motions (n, 3), both unsigned, (n, 2)."""
+    return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])])
+
+
+def sweep_motion(recording: Recording) -> SE2 | None:
+    """Base poses (n, KNOTS) during each sweep relative to its start, by odometry; None without a stream or
+    where a sweep takes no time. The last one is that at the end of the sweep. Where the odometry jumps, the
+    motion of the previous sweep is used."""
+    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    if recording.odometry is None or len(recording.odometry) < 2 or sweep_s == 0.0:
+        return None
+    after_ns = nanoseconds(np.arange(KNOTS + 1) / KNOTS * sweep_s)
+    during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
+    T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
+    # a jump may end within a sweep and move its end only a little, so each part is checked
+    moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
+    part_s = np.full(len(moved), abs(sweep_s) / KNOTS)
+    too_far = moved > fastest(moved, part_s) * part_s[:, None]
+    jumps = too_far.reshape(len(T_odom_knots), -1).any(axis=1)
+    motion = T_odom_knots[:, :1].inverse() @ T_odom_knots[:, 1:]
+    return motion[np.maximum.accumulate(np.where(jumps, 0, np.arange(len(motion))))]
+
+
+def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
+    """As `sweep_motion`, from the poses of the scans themselves (n,), for logs without odometry.
+
+    A scan that is not corrected yet has the pose of the middle of its sweep, so the speed during the sweep is
+    the mean of those before and after.
+    """
+    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    waits = seconds(np.diff(recording.stamps_ns))
+    steps = T_track_base.steps()
+    known = (waits > 0.0) & (waits < GAP_S)
+    speed = np.where(known[:, None], steps / np.where(known, waits, 1.0)[:, None], 0.0)
+    around = np.concatenate([speed[:1], speed, speed[-1:]])
+    whole = 0.5 * (around[:-1] + around[1:]) * sweep_s
+    return SE2(whole[:, None] * (np.arange(1, KNOTS + 1) / KNOTS)[:, None])
+
+
+def known_motion(recording: Recording, motion: SE2 | None = None) -> SE2:
+    """`motion` (n, KNOTS), or that by odometry if it is None; zero where it is unknown, or where the lidar
+    takes all beams at once."""
+    if recording.lidar.time_increment != 0.0:
+        motion = sweep_motion(recording) if motion is None else motion
+        if motion is not None:
+            return motion
+    return SE2(np.zeros((len(recording), KNOTS, 3)))
+
+
+@njit(cache=True, nogil=True)
+def _place(
+    valid: NDArray, ranges: Array, beams: Array, T_base_lidar: Array, motion: Array, points: Array
+) -> None:
+    """End points of the valid beams (n, beams) with these ranges (m,), in the base frame at the sweep's
+    start."""
+    fractions = np.linspace(0.0, 1.0, len(beams))
+    row = 0
+    for scan in range(len(valid)):
+        origins, directions = deskewed(beams, fractions, T_base_lidar, motion[scan])
+        for beam in np.flatnonzero(valid[scan]):
+            points[row, 0] = origins[beam, 0] + ranges[row] * directions[beam, 0]
+            points[row, 1] = origins[beam, 1] + ranges[row] * directions[beam, 1]
+            row += 1
+
+
+@njit(cache=True, nogil=True)
+def fit_lines(
+    points: Array, starts: NDArray, origin: Array, increment: float, lines: tuple[NDArray, ...]
+) -> None:
+    """Total least squares line through each point's neighbours in beam order, into `lines`: normals, centers,
+    line_ok, point_var, normal_var.
+
+    The line grows beam by beam to both sides as long as its residuals pass a chi-squared test against the
+    noise, up to the reach that makes its direction certain enough. `point_var` comes in as the variance of
+    the ranges.
+    """
+    normals, centers, ok, point_var, normal_var = lines
+    range_var = point_var.copy()
+    # Allocated once, because numba counts references to a list at every access, with atomic operations.
+    sums, ends, alive = np.zeros(5), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
+    for scan in range(len(starts) - 1):
+        lo, hi = starts[scan], starts[scan + 1]
+        for i in range(lo, hi):
+            px, py = points[i, 0], points[i, 1]
+            ray_x, ray_y = px - origin[0], py - origin[1]
+            distance = math.hypot(ray_x, ray_y)
+            ray_x, ray_y = ray_x / max(distance, NOTHING_M), ray_y / max(distance, NOTHING_M)
+            spacing = distance * increment
+            reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
+            reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
+            gap2 = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M) ** 2
+            # the noise also separates neighbours
+            gap2 += 2.0 * Z_SURFACE**2 * range_var[i]
+            sums[:] = 0.0
+            count = 1
+            ends[:] = i
+            alive[:] = True
+            ray_xx, ray_xy, ray_yy = ray_x * ray_x, ray_x * ray_y, ray_y * ray_y
+            cos2, sin2, mx, my, var, turn_var = 1.0, 0.0, 0.0, 0.0, range_var[i], math.inf
+            while alive[0] or alive[1]:
+                for side in range(2):
+                    if not alive[side]:
+                        continue
+                    last = ends[side]
+                    j = last - 1 if side == 0 else last + 1
+                    if j < lo or j >= hi:
+                        alive[side] = False
+                        continue
+                    x, y = points[j, 0], points[j, 1]
+                    dx, dy = x - px, y - py
+                    off2 = dx * dx + dy * dy
+                    too_far = off2 > reach2 and (off2 > farthest2 or turn_var < SURE_RAD * SURE_RAD)
+                    lx, ly = x - points[last, 0], y - points[last, 1]
+                    if too_far or lx * lx + ly * ly > gap2:
+                        alive[side] = False
+                        continue
+                    n = count + 1
+                    sx, sy = sums[0] + dx, sums[1] + dy
+                    sxx, sxy, syy = sums[2] + dx * dx, sums[3] + dx * dy, sums[4] + dy * dy
+                    ax, ay = sx / n, sy / n
+                    cxx, cxy, cyy = sxx / n - ax * ax, sxy / n - ax * ay, syy / n - ay * ay
+                    # the noise lies along the rays: left in, it would turn the line towards them
+                    own = range_var[i] * (n - 1) / n
+                    half = 0.5 * (cxx - cyy - own * (ray_xx - ray_yy))
+                    mixed = cxy - own * ray_xy
+                    root = math.sqrt(half * half + mixed * mixed)
+                    large = 0.5 * (cxx + cyy - own) + root
+                    # cosine and sine of twice the line's direction, and its normal's square along the ray
+                    c2, s2 = (half / root, mixed / root) if root > 0.0 else (1.0, 0.0)
+                    small = max(0.5 * (cxx + cyy) - 0.5 * (cxx - cyy) * c2 - cxy * s2, 0.0)
+                    across2 = 0.5 * ((1.0 - c2) * ray_xx - 2.0 * s2 * ray_xy + (1.0 + c2) * ray_yy)
+                    # a few returns close together do not determine the angle between line and ray
+                    steep = min(1.0, across2 + range_var[i] / max(n * large, LEAST_M * LEAST_M))
+                    noise = range_var[i] * steep + LEAST_M * LEAST_M
+                    if n >= 3 and n * small > noise * chi_squared_limit(n - 2):
+                        alive[side] = False
+                        continue
+                    sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
+                    count = n
+                    ends[side] = j
+                    cos2, sin2, mx, my, var = c2, s2, ax, ay, noise
+                    turn_var = noise / max(n * large, LEAST_M * LEAST_M)
+            if count < 3 or turn_var > UNSURE_RAD * UNSURE_RAD:
+                continue
+            # of the half angle, by the larger of its two parts
+            if cos2 > 0.0:
+                ny = math.sqrt(0.5 * (1.0 + cos2))
+                nx = -0.5 * sin2 / ny
+            else:
+                nx = -math.sqrt(0.5 * (1.0 - cos2))
+                ny = -0.5 * sin2 / nx
+            if nx * ray_x + ny * ray_y > 0.0:
+                nx, ny = -nx, -ny
+            normals[i, 0], normals[i, 1] = nx, ny
+            centers[i, 0], centers[i, 1] = px + mx, py + my
+            point_var[i], normal_var[i] = var, turn_var
+            ok[i] = True
+
+
+@njit(cache=True, nogil=True)
+def chi_squared_limit(freedom: int) -> float:
+    """The chi-squared that noise alone exceeds as rarely as Z_SURFACE says (Wilson and Hilferty 1931)."""
+    share = 2.0 / (9.0 * freedom)
+    return freedom * (1.0 - share + Z_SURFACE * math.sqrt(share)) ** 3
+
+
+@njit(cache=True, nogil=True)
+def bearing_tables(points: Array, starts: NDArray, origin: Array, table: NDArray) -> None:
+    """Row of the nearest point in each bearing bin about the lidar, per scan, into a table of -1."""
+    n_bins = table.shape[1]
+    scale = n_bins / (2.0 * math.pi)
+    for scan in range(len(starts) - 1):
+        for i in range(starts[scan], starts[scan + 1]):
+            dx, dy = points[i, 0] - origin[0], points[i, 1] - origin[1]
+            b = math.floor((math.atan2(dy, dx) + math.pi) * scale) % n_bins
+            old = table[scan, b]
+            if old >= 0:
+                ox, oy = points[old, 0] - origin[0], points[old, 1] - origin[1]
+                if ox * ox + oy * oy <= dx * dx + dy * dy:
+                    continue
+            table[scan, b] = i

@@ -1,0 +1,130 @@
+"""Correspondences between the points of a scan and the lines of key scans.
+
+Correspondences are projective: a point is looked up by its bearing in the key scan, and the nearest
+of the points around that bearing is taken. No search tree is needed, and points that the key scan could
+not have seen (behind its walls) get no correspondence.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
+
+# A point is searched within this many bearings to either side.
+MAX_HALF_WINDOW = 10
+# Surfaces whose normals agree by less than this (cosine) are different surfaces.
+MIN_NORMAL_DOT = 0.6
+
+
+class Limits(NamedTuple):
+    """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of the robust kernel,
+    where there is one. An alignment ends after `iterations`; with none, it returns the fit at the start.
+    Scans with more than `most_points` may be thinned to every second, third, ... point."""
+
+    gate: float
+    sigma: float
+    iterations: int = 15
+    most_points: int = 10**6
+
+
+# For rough poses, and for good ones.
+ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
+
+
+# Kernels called once per point are inlined: passing the arrays of Clouds on took 15 % of mapping. They make
+# no arrays, so they need no reference counts (`_nrt`), which took another 12 %.
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> int:
+    """Row of the point of scan `key` nearest to (x, y) in that scan's base frame, or -1 beyond `gate`."""
+    points, table, origin = clouds.points, clouds.table, clouds.origin
+    n_bins = table.shape[1]
+    scale = n_bins / (2.0 * math.pi)
+    dx, dy = x - origin[0], y - origin[1]
+    r = math.sqrt(dx * dx + dy * dy)
+    b = int((math.atan2(dy, dx) + math.pi) * scale)
+    half = min(MAX_HALF_WINDOW, n_bins // 2)
+    if r > gate:
+        half = min(half, int(gate / r * scale) + 1)
+    best, best_d2 = -1, gate * gate
+    # Outwards, until all remaining points must be farther than the best: at an angle a, nothing is nearer
+    # than r sin a. Of two at the same distance, the one at the smaller bearing counts.
+    for away in range(half + 1):
+        least = r * math.sin(min((away - 1) / scale, 0.5 * math.pi))
+        if away > 1 and least * least > best_d2:
+            break
+        for side in range(2 if away > 0 else 1):
+            k = b - away if side == 0 else b + away
+            if k < 0:
+                k += n_bins
+            elif k >= n_bins:
+                k -= n_bins
+            row = table[key, k]
+            if row < 0:
+                continue
+            ex, ey = points[row, 0] - x, points[row, 1] - y
+            d2 = ex * ex + ey * ey
+            if d2 < best_d2 or (d2 == best_d2 and side == 0 and best >= 0):
+                best, best_d2 = row, d2
+    return best
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
+    """Whether scan `key` had (x, y), in its base frame, in view: all beams around that bearing, at least two,
+    reached it to within `margin` [m]."""
+    points, table, origin = clouds.points, clouds.table, clouds.origin
+    n_bins = table.shape[1]
+    dx, dy = x - origin[0], y - origin[1]
+    r = math.sqrt(dx * dx + dy * dy)
+    b = int((math.atan2(dy, dx) + math.pi) * n_bins / (2.0 * math.pi))
+    beams = 0
+    for k in range(b - 1, b + 2):
+        row = table[key, k % n_bins]
+        if row < 0:
+            continue
+        if math.hypot(points[row, 0] - origin[0], points[row, 1] - origin[1]) < r - margin:
+            return False
+        beams += 1
+    return beams >= 2
+
+
+@njit(cache=True, forceinline=True)
+def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
+    """T_i_j as x, y, yaw, of rows i and j of poses (n, 3)."""
+    c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+    dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
+    return c * dx + s * dy, -s * dx + c * dy, poses[j, 2] - poses[i, 2]
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def partner_line(
+    clouds: Clouds, r: int, key: int, T_key_scan: tuple[float, float, float, float], limits: Limits
+) -> tuple[int, float, float]:
+    """The line of scan `key` that point `r` lies on: row or -1, distance to it [m], weight [1/m^2].
+
+    T_key_scan is x, y, and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than SIGMAS
+    of the point's noise.
+    """
+    tx, ty, c, s = T_key_scan
+    normals, centers = clouds.normals, clouds.centers
+    px, py = clouds.points[r, 0], clouds.points[r, 1]
+    x, y = tx + c * px - s * py, ty + s * px + c * py
+    kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[r])
+    inv_s2, reach = 1.0 / kernel2, max(limits.gate, math.sqrt(kernel2))
+    row = find_partner(x, y, key, clouds, reach)
+    if row < 0 or not clouds.line_ok[row]:
+        return -1, 0.0, 0.0
+    nx, ny = normals[row, 0], normals[row, 1]
+    bx, by = c * nx + s * ny, -s * nx + c * ny
+    e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
+    if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
+        return -1, 0.0, 0.0
+    w = 1.0 / (1.0 + e * e * inv_s2)
+    return row, e, w * w * inv_s2

@@ -1,0 +1,152 @@
+"""Pairs of key scans that see the same surfaces, linearised into relative poses with their information."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.threads import in_parts
+from turtlebag.pipeline.slam.scans.align import SURFACE_VAR, add_equation, observable, safe_solve
+from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
+from turtlebag.pipeline.slam.scans.open3d_icp import match_points
+
+# Key scans farther apart than this [m], or than the usual range if that is longer, see too little of the same
+# to be partners; this many on either side of one in time see the same as it does, and proportionally more if
+# the lidar sees farther.
+RADIUS_M, ALIKE = 4.0, 2
+
+
+def partner_radius(clouds: Clouds) -> float:
+    """The distance [m] up to which key scans are partners: the median of their ranges, or RADIUS_M."""
+    ranges = np.linalg.norm(clouds.points - clouds.origin, axis=1)
+    return max(RADIUS_M, float(np.median(ranges))) if len(ranges) else RADIUS_M
+
+
+def overlapping_pairs(
+    T_map_keys: SE2, radius: float, neighbours: int, alike: int = ALIKE
+) -> NDArray[np.int64]:
+    """Pairs (n, 2), i < j, of nearby keys: each key with its two successors in time and its nearest ones.
+    These are spread over all visits to the place: once a key is taken, those up to `alike` before and after
+    it are left out."""
+    n = len(T_map_keys)
+    tree = scipy.spatial.cKDTree(T_map_keys.xy)
+    found: set[tuple[int, int]] = {(k, k + 1) for k in range(n - 1)} | {(k, k + 2) for k in range(n - 2)}
+    for i, near in enumerate(tree.query_ball_point(T_map_keys.xy, radius)):
+        others = np.array([k for k in near if k != i], dtype=np.int64)
+        if len(others) == 0:
+            continue
+        distance = np.linalg.norm(T_map_keys.xy[others] - T_map_keys.xy[i], axis=1)
+        turn = np.abs((T_map_keys.yaw[others] - T_map_keys.yaw[i] + np.pi) % (2 * np.pi) - np.pi)
+        order = np.argsort(distance + 0.5 * turn, kind="stable")
+        taken: list[int] = []
+        beside: set[int] = set()
+        for k in others[order].tolist():
+            # the same view adds nothing
+            if k not in beside:
+                taken.append(k)
+                beside.update(range(k - alike, k + alike + 1))
+                if len(taken) == neighbours:
+                    break
+        found |= {(min(i, k), max(i, k)) for k in taken}
+    return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+
+
+def match_pairs(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    pairs: NDArray[np.int64],
+    limits: Limits,
+) -> tuple[Array, Array, Array]:
+    """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
+    found = in_parts(
+        lambda part: linearise_pairs(clouds, keys, T_map_keys.xyt, pairs[part], limits),
+        len(pairs),
+    )
+    relative, information, overlap = (np.concatenate([part[k] for part in found]) for k in range(3))
+    bare = np.array([clouds.placed_by(int(key)) == "points" for key in keys])
+    both = np.flatnonzero(bare[pairs[:, 0]] & bare[pairs[:, 1]])
+    if len(both) > 0:
+        start = (T_map_keys[pairs[:, 0]].inverse() @ T_map_keys[pairs[:, 1]]).xyt
+        for k in both:
+            i, j = pairs[k]
+            match = match_points(clouds.of(keys[j]), clouds.of(keys[i]), start[k], limits.gate)
+            relative[k], information[k] = match.T_target_source, match.information
+            overlap[k] = match.overlap
+    return relative, information, overlap
+
+
+@njit(cache=True, nogil=True)
+def linearise_pairs(
+    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, limits: Limits
+) -> tuple[Array, Array, Array]:
+    """Per pair (i, j): best T_i_j to first order (3,), its information (3, 3), overlap 0..1.
+
+    Points of j are matched with lines of i and points of i with lines of j.
+    """
+    n = len(pairs)
+    relative = np.empty((n, 3))
+    information = np.zeros((n, 3, 3))
+    overlap = np.zeros(n)
+    for k in range(n):
+        a, b = pairs[k, 0], pairs[k, 1]
+        tx, ty, dyaw = relative_pose(poses, a, b)
+        c, s = math.cos(dyaw), math.sin(dyaw)
+        h, g = np.zeros((3, 3)), np.zeros(3)
+        used_b, hit_b, faked_b = _half(clouds, keys[b], keys[a], (tx, ty, c, s), limits, False, (h, g))
+        ix, iy = -c * tx - s * ty, s * tx - c * ty
+        used_a, hit_a, faked_a = _half(clouds, keys[a], keys[b], (ix, iy, c, -s), limits, True, (h, g))
+        overlap[k] = max(hit_a / max(used_a, 1), hit_b / max(used_b, 1))
+        seen = observable(h, faked_a + faked_b)
+        step = -safe_solve(h, g)
+        relative[k, 0] = tx + c * step[0] - s * step[1]
+        relative[k, 1] = ty + s * step[0] + c * step[1]
+        relative[k, 2] = (dyaw + step[2] + math.pi) % (2.0 * math.pi) - math.pi
+        information[k] = seen
+    return relative, information, overlap
+
+
+@njit(cache=True, forceinline=True)
+def _half(
+    clouds: Clouds,
+    scan: int,
+    key: int,
+    T_key_scan: tuple[float, float, float, float],
+    limits: Limits,
+    inverted: bool,
+    equations: tuple[Array, Array],
+) -> tuple[int, int, float]:
+    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan as in `partner_line`.
+
+    Returned are the points with a line, those with a partner, and the information that errors of the
+    normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that
+    `scan` is i and `key` j.
+    """
+    points, normals, line_ok = clouds.points, clouds.normals, clouds.line_ok
+    (tx, ty, c, s), (h, g) = T_key_scan, equations
+    used, hit, faked = 0, 0, 0.0
+    for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
+        if not line_ok[r]:
+            continue
+        used += 1
+        row, e, w = partner_line(clouds, r, key, T_key_scan, limits)
+        if row < 0:
+            continue
+        hit += 1
+        px, py = points[r, 0], points[r, 1]
+        x, y = tx + c * px - s * py, ty + s * px + c * py
+        nx, ny = normals[row, 0], normals[row, 1]
+        bx, by = c * nx + s * ny, -s * nx + c * ny
+        faked += w * (clouds.normal_var[row] + SURFACE_VAR)
+        if inverted:
+            add_equation(h, g, w, -nx, -ny, -(x * ny - y * nx), e)
+        else:
+            add_equation(h, g, w, bx, by, by * px - bx * py, e)
+    h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
+    return used, hit, faked

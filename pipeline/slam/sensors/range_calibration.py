@@ -1,0 +1,212 @@
+"""Range calibration: systematic range errors of a lidar, learnt from its own scans.
+
+A triangulating lidar sees the spot of its beam shifted by a constant amount: its ranges
+have an offset and an error that grows with the square of the range (the LDS-01's data sheet allows 15 mm at
+short range, and 5 % at 3.5 m). Two scans that see one wall from different ranges show both, whatever their
+poses: for each pair, the relative pose and the scale between the two turns of the head are eliminated, and
+the equations of all pairs are summed. A factor common to all ranges cannot be told from a smaller
+world.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import NOTHING_M, Recording
+from turtlebag.pipeline.slam.scans.align import NEIGHBOURS, STEP_COVARIANCE_SCALE
+from turtlebag.pipeline.slam.scans.clouds import UNSURE_RAD, Clouds
+from turtlebag.pipeline.slam.scans.correspondences import FINE, Limits, partner_line, relative_pose
+from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs
+from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
+
+# Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square
+# of the range.
+TRIANGULATES_M = 12.0
+# A priori standard deviations of such lidars: this much [m] at any range, and this share of the farthest
+# usable range there, growing with the square of the range.
+OFFSET_M, SHARE = 0.01, 0.01
+# Standard deviation of the scale between two turns of the head. A guess, but not sensitive: with 0.0067, and
+# without a bound, the ranges of 16 simulated drives were 4.1 and 4.6 mm off, without the scale 5.1.
+TURN_SHARE = 0.005
+# The equations are solved this many times, each time with the points moved by the last solution.
+ROUNDS = 5
+# Lines this many beams to either side must have the same direction: lines cut corners and bend round pillars,
+# the more so at a distance.
+BESIDE = 6
+# Surfaces met at a smaller sine than this say little about ranges.
+GRAZING_SINE = 0.25
+
+
+@dataclass(frozen=True)
+class RangeCalibration:
+    """Readings r [m] are `offset_m + square_per_m * r^2` too long."""
+
+    offset_m: float = 0.0
+    square_per_m: float = 0.0
+
+    def error(self, ranges: Array) -> Array:
+        """Error of these readings [m]."""
+        return np.asarray(self.offset_m + self.square_per_m * ranges**2)
+
+    def as_metrics(self) -> dict[str, dict[str, float]]:
+        """`range_error_m`, at 1 and 3 m, if there is any."""
+        near, far = (float(off) for off in self.error(np.array([1.0, 3.0])))
+        return {"range_error_m": {"at_1_m": near, "at_3_m": far}} if self != RangeCalibration() else {}
+
+    def applied(self, recording: Recording) -> Recording:
+        """The recording with corrected ranges; a return remains a return."""
+        ranges, lidar = recording.ranges, recording.lidar
+        back, metre = lidar.returns(ranges), ranges.dtype.type
+        read = np.where(back, ranges, 0.0).astype(np.float64)
+        ends = max(lidar.range_min, NOTHING_M), np.nextafter(metre(lidar.range_max), metre(0.0))
+        right = np.clip(read - self.error(read), *ends).astype(ranges.dtype)
+        return replace(recording, ranges=np.where(back, right, ranges))
+
+    def moved(self, clouds: Clouds) -> Clouds:
+        """The clouds with corrected ranges: points along their rays, and lines with them."""
+        points, _ = self._along(clouds.points - clouds.origin)
+        centers, stretch = self._along(clouds.centers - clouds.origin)
+        ray = clouds.centers - clouds.origin
+        ray = ray / np.maximum(np.linalg.norm(ray, axis=1), NOTHING_M)[:, None]
+        # A radial map stretches along and across the ray; normals transform by its inverse.
+        along = (clouds.normals * ray).sum(axis=1)[:, None] * ray
+        normals = along / stretch[:, :1] + (clouds.normals - along) / stretch[:, 1:]
+        length = np.linalg.norm(normals, axis=1)
+        normals = normals / np.where(length > 0.0, length, 1.0)[:, None]
+        return clouds._replace(
+            points=(clouds.origin + points).astype(clouds.points.dtype),
+            centers=(clouds.origin + centers).astype(clouds.centers.dtype),
+            normals=normals.astype(clouds.normals.dtype),
+        )
+
+    def _along(self, rays: Array) -> tuple[Array, Array]:
+        """Rays (n, 2) with corrected lengths, and the stretch along and across them, (n, 2)."""
+        ranges = np.maximum(np.linalg.norm(rays, axis=1), NOTHING_M)
+        share = 1.0 - self.error(ranges) / ranges
+        return rays * share[:, None], np.column_stack([1.0 - 2.0 * self.square_per_m * ranges, share])
+
+
+def calibrate_ranges(
+    clouds: Clouds, keys: NDArray[np.int64], T_track_keys: SE2, usable_m: float
+) -> RangeCalibration:
+    """The calibration that best aligns what key scans (n,) saw, as placed by a front end.
+
+    Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
+    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant error counts as none.
+    """
+    pairs = overlapping_pairs(T_track_keys, RADIUS_M, NEIGHBOURS)
+    prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
+    value = np.zeros(2)
+    for _ in range(ROUNDS):
+        moved = RangeCalibration(*value).moved(clouds)
+        h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE)
+        value = value - np.linalg.solve(
+            h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
+        )
+    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGMAS**2
+    return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
+
+
+@njit(cache=True, nogil=True)
+def _equations(
+    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, limits: Limits
+) -> tuple[Array, Array]:
+    """Normal equations (2, 2), (2,) of offset and square; the relative pose and scale of each pair are
+    eliminated."""
+    h, g, straight = np.zeros((2, 2)), np.zeros(2), straight_points(clouds, keys)
+    information = STEP_COVARIANCE_SCALE / TURN_SHARE**2
+    for k in range(len(pairs)):
+        a, b = pairs[k, 0], pairs[k, 1]
+        tx, ty, dyaw = relative_pose(poses, a, b)
+        c, s = math.cos(dyaw), math.sin(dyaw)
+        whole, right = 1e-9 * np.eye(6), np.zeros(6)
+        whole[3, 3] = information
+        _half(clouds, straight, (keys[b], keys[a]), (tx, ty, c, s), limits, False, (whole, right))
+        ix, iy = -c * tx - s * ty, s * tx - c * ty
+        _half(clouds, straight, (keys[a], keys[b]), (ix, iy, c, -s), limits, True, (whole, right))
+        absorbed = np.linalg.solve(whole[:4, :4].copy(), whole[:4, 4:].copy())
+        h += whole[4:, 4:] - whole[4:, :4].copy() @ absorbed
+        g += right[4:] - absorbed.T.copy() @ right[:4].copy()
+    return h, g
+
+
+@njit(cache=True, nogil=True)
+def _half(
+    clouds: Clouds,
+    straight: NDArray,
+    pair: tuple[int, int],
+    T_key_scan: tuple[float, float, float, float],
+    limits: Limits,
+    inverted: bool,
+    equations: tuple[Array, Array],
+) -> None:
+    """Add the equations (6, 6), (6,) of a scan's points against a key's lines, of a pair (scan, key).
+
+    T_key_scan is as in `partner_line`. The unknowns are a right perturbation of the pair's pose, the share by
+    which the pair's second scan has longer ranges than its first, then offset and square.
+    """
+    points, normals, centers, origin = clouds.points, clouds.normals, clouds.centers, clouds.origin
+    (tx, ty, c, s), (h, g), (scan, key) = T_key_scan, equations, pair
+    row_of = np.zeros(6)
+    for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
+        if not straight[r]:
+            continue
+        row, e, w = partner_line(clouds, r, key, T_key_scan, limits)
+        if row < 0 or not straight[row]:
+            continue
+        px, py = points[r, 0], points[r, 1]
+        nx, ny = normals[row, 0], normals[row, 1]
+        bx, by = c * nx + s * ny, -s * nx + c * ny
+        near, near_sine = _ray(px - origin[0], py - origin[1], bx, by)
+        far, far_sine = _ray(centers[row, 0] - origin[0], centers[row, 1] - origin[1], nx, ny)
+        if min(abs(near_sine), abs(far_sine)) < GRAZING_SINE:
+            continue
+        # The range at which this ray meets the other scan's line. With that of the reading, its noise would
+        # be on both sides of the equation, and shrunken scans would fit better.
+        ray_x, ray_y = (px - origin[0]) / near, (py - origin[1]) / near
+        near -= e / near_sine
+        px, py = origin[0] + near * ray_x, origin[1] + near * ray_y
+        x, y = tx + c * px - s * py, ty + s * px + c * py
+        if abs(nx * (y - centers[row, 1]) - ny * (x - centers[row, 0])) > limits.gate:
+            continue
+        if inverted:
+            row_of[0], row_of[1], row_of[2] = -nx, -ny, -(x * ny - y * nx)
+        else:
+            row_of[0], row_of[1], row_of[2] = bx, by, by * px - bx * py
+        both = 0.5 * (far_sine * far + near_sine * near)
+        row_of[3] = both if inverted else -both
+        row_of[4] = far_sine - near_sine
+        row_of[5] = far_sine * far * far - near_sine * near * near
+        for i in range(6):
+            g[i] += w * row_of[i] * e
+            for j in range(6):
+                h[i, j] += w * row_of[i] * row_of[j]
+
+
+@njit(cache=True)
+def _ray(x: float, y: float, nx: float, ny: float) -> tuple[float, float]:
+    """Length of a ray, and the sine of its angle to the surface with this normal."""
+    length = max(math.hypot(x, y), NOTHING_M)
+    return length, (nx * x + ny * y) / length
+
+
+@njit(cache=True, nogil=True)
+def straight_points(clouds: Clouds, keys: NDArray) -> NDArray:
+    """Points (m,) of key scans whose surface continues straight to both sides."""
+    normals, line_ok = clouds.normals, clouds.line_ok
+    out = np.zeros(len(normals), dtype=np.bool_)
+    for key in keys:
+        first, end = clouds.starts[key], clouds.starts[key + 1]
+        for row in range(first, end):
+            out[row] = line_ok[row] and row - BESIDE >= first and row + BESIDE < end
+            for beside in (row - BESIDE, row + BESIDE):
+                if out[row]:
+                    dot = normals[beside, 0] * normals[row, 0] + normals[beside, 1] * normals[row, 1]
+                    out[row] = line_ok[beside] and dot > math.cos(UNSURE_RAD)
+    return out
