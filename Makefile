@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
+  bench results bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -107,11 +107,14 @@ verify: $(READY) ## run the demo twice and compare every file, then verify its r
 	@echo "the same bytes twice: $$(wc -l < data/verify/first.sha256) files"
 	$(TURTLEBAG) verify data/reports/demo
 
-pictures: demo ## the animations of the README, out of the demo's report
+pictures: demo ## the animations of the README and the figure of docs/how-it-maps.md, from the demo
 	cp data/reports/demo/figures/turtlebot3-world-map-animation.gif docs/images/mapping.gif
 	cp data/reports/demo/figures/turtlebot3-world-patrol-animation.gif docs/images/patrol.gif
+	$(PY) .ci/site/mapping_figure.py $(addsuffix /turtlebot3_house-waffle_pi-tour-$(SEED),data/records data/maps) docs/images/how-it-maps.svg
 
 bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
+results: $(READY) ## the tables of docs/results.md, each row over at least ten seeds (TURTLEBAG_DATA=folder of the public logs)
+	$(PY) -m benchmarks.results
 bench-sim: $(READY) ## simulated seconds per second, by world and robot
 	$(PY) -m benchmarks.sim
 bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-all

@@ -10,7 +10,7 @@ Suites:
   fast50     house, burger, `fast`, seeds 1001-1050, realistic and clean sensors
   mishaps    drives in which something goes wrong, as they are and with four other lidars
   detector   the self-check on good and bad maps (benchmarks.slam_detector)
-  worlds     the drives of docs/results.md
+  worlds     the drives of docs/lab/mapping.md
   ablation   each part of the mapper switched off or exchanged
   parts      the exchangeable parts on public logs and drives
   numbers    the numbers that matter most, halved and doubled (benchmarks.slam_parts)

@@ -43,7 +43,7 @@ DOCUMENTED = (
     *((world, robot, "tour", seed) for world, robot in TUTORIAL for seed in (2, 3)),
     *((f"office:{seed}", "burger", "tour", seed) for seed in (31, 32, 33)),
 )
-"""The drives whose figures the documentation shows."""
+"""The drives whose figures the lab notes show."""
 RADISH = ("mit-csail", "fr079", "intel")
 # The hospital is 430 m wide and 630 m long.
 SETTINGS = {"fr-clinic_robotlaser": {"grid": {"resolution_m": 0.1}}}

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,32 +11,55 @@ from typing import Any
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.types import Stamps, Trajectory
-from turtlebag.reports.content import stage_metrics, verdict
+from turtlebag.datasets.types import Stamps
 from turtlebag.reports.figures import series, systems
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.metric_specs import LESS_IS_BETTER, MORE_IS_BETTER, SPECS, MetricSpec
+from turtlebag.reports.kinds import KINDS, stage_metrics, verdict
+from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.map import walls_in
 from turtlebag.reports.metrics.trajectory import associate
-from turtlebag.reports.numbers import DASH, leaves, lookup, shown
-from turtlebag.reports.provenance import renamed
+from turtlebag.reports.numbers import Row, leaves, lookup, shown
 from turtlebag.reports.stages import Group, Stage
-
-PATHS = {"map": "SLAM's paths", "localise": "AMCL's estimates", "plan": "The plans"}
+from turtlebag.reports.verdicts import BAD, GOOD, NEUTRAL
 
 
 @dataclass(frozen=True)
-class Row:
-    """One number of both; `mood` says whether B is better, worse or neither."""
+class Change(Row):
+    """One number of A and of B."""
 
-    path: str
-    label: str
-    a: str
-    b: str
-    difference: str
-    relative: str
-    mood: str
-    values: tuple[float | None, float | None]
+    @property
+    def by(self) -> float | None:
+        """B - A."""
+        a, b = self.values
+        return None if a is None or b is None else b - a
+
+    @property
+    def difference(self) -> str:
+        """As shown: `≈` where it is too small to show."""
+        a, b = self.values
+        if self.spec.unit == "yes" or self.by == 0.0:
+            return "=" if a == b else "\u2260"
+        if self.by is None:
+            return ""
+        text = shown(self.by, self.spec.unit)
+        if not any(digit in text for digit in "123456789"):
+            return "\u2248"
+        return f"+{text}" if self.by > 0 else text
+
+    @property
+    def relative(self) -> str:
+        """The difference as a share of A; empty where that says nothing."""
+        a, _ = self.values
+        if not a or not self.by or self.spec.unit == "yes" or self.difference == "\u2248":
+            return ""
+        return f"{100.0 * self.by / abs(a):+.0f} %".replace("-", "\u2212")
+
+    @property
+    def mood(self) -> str:
+        """Whether B is better, worse or neither."""
+        if not self.by or not self.spec.sense or self.difference == "\u2248":
+            return NEUTRAL
+        return GOOD if (self.by > 0) == (self.spec.sense > 0) else BAD
 
 
 @dataclass(frozen=True)
@@ -46,11 +67,10 @@ class Comparison:
     """What differs between two outputs of one kind; `verdicts` are (mood, sentence) of each."""
 
     verdicts: tuple[tuple[str, str], tuple[str, str]]
-    rows: list[Row]
+    rows: list[Change]
     settings: list[tuple[str, str, str]]
     same_bytes: list[str]
     changed: list[str]
-    commands: tuple[str, str]
     same_source: bool | None
 
 
@@ -65,53 +85,18 @@ def compare(a: Stage, b: Stage) -> Comparison:
     for spec in SPECS[a.kind]:
         one, other = lookup(metrics_a, spec.path), lookup(metrics_b, spec.path)
         if one is not None or other is not None:
-            rows.append(_row(spec, _number(one), _number(other)))
+            rows.append(Change(spec, (_number(one), _number(other))))
     files = sorted(set(a.manifest.outputs) & set(b.manifest.outputs))
     same = [path for path in files if a.manifest.outputs[path] == b.manifest.outputs[path]]
     settings = changed_settings(a.config, b.config)
-    commands = command_of(a, "A"), command_of(b, "B")
     known = all("source" in stage.manifest.inputs for stage in (a, b))
     source = same_input(a, b) if known else None
     verdicts = verdict(a, metrics_a), verdict(b, metrics_b)
-    return Comparison(verdicts, rows, settings, same, sorted(set(files) - set(same)), commands, source)
-
-
-def command_of(stage: Stage, name: str) -> str:
-    """The command that made a stage, its output called `name`, of absolute paths the last part only."""
-    out = stage.option("out")
-    names = {} if out is None else {out.rstrip("/"): name}
-    words = renamed(stage.command, names)
-    return shlex.join(re.sub(r"^(--[\w-]+=)?/.*/(?=[^/])", r"\1", word) for word in words)
+    return Comparison(verdicts, rows, settings, same, sorted(set(files) - set(same)), source)
 
 
 def _number(value: Any) -> float | None:
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
-
-
-def _row(spec: MetricSpec, a: float | None, b: float | None) -> Row:
-    path, label, unit = spec.path, spec.label, spec.unit
-    difference, relative, mood = "", "", "neutral"
-    if unit == "yes":
-        texts = [DASH if value is None else shown(bool(value), unit) for value in (a, b)]
-        mood = _mood(path, b - a) if a is not None and b is not None and a != b else "neutral"
-        return Row(path, label, texts[0], texts[1], "=" if a == b else "\u2260", "", mood, (a, b))
-    if a is not None and b is not None:
-        change = b - a
-        difference = "=" if change == 0.0 else shown(change, unit)
-        if change != 0.0 and not any(digit in difference for digit in "123456789"):
-            difference = "\u2248"
-        elif change != 0.0:
-            difference = f"+{difference}" if change > 0 else difference
-            relative = f"{100.0 * change / abs(a):+.0f} %".replace("-", "\u2212") if a != 0.0 else ""
-            mood = _mood(path, change)
-    return Row(path, label, shown(a, unit), shown(b, unit), difference, relative, mood, (a, b))
-
-
-def _mood(path: str, change: float) -> str:
-    last = path.rpartition(".")[2]
-    if last not in MORE_IS_BETTER + LESS_IS_BETTER:
-        return "neutral"
-    return "good" if (change > 0) == (last in MORE_IS_BETTER) else "bad"
 
 
 def changed_settings(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -139,11 +124,11 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
             "walls exist in only one of the two."
         )
         album.add("maps", "Maps", caption, systems.walls, a.map, b.map, ("A", "B"))
-    path_a, path_b = driven(a), driven(b)
+    path_a, path_b = KINDS[a.kind].path(a), KINDS[b.kind].path(b)
     if path_a is not None and path_b is not None:
         grids = (a.map, a.true_map, Group("", (a,)).given_map(a))
         ground = next((grid for grid in grids if grid is not None), None)
-        caption = f"{PATHS.get(a.kind, 'True paths')}: A wide, B thin on top of it."
+        caption = f"{KINDS[a.kind].paths}: A wide, B thin on top of it."
         album.add("paths", "Paths", caption, systems.paths, ground, None, {"A": path_a, "B": path_b})
     errors_a, errors_b = _errors(a), _errors(b)
     if errors_a is not None and errors_b is not None:
@@ -164,15 +149,6 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
 def same_input(a: Stage, b: Stage) -> bool:
     """Whether both were made from the same source files."""
     return bool(a.hashes("source")) and a.hashes("source") == b.hashes("source")
-
-
-def driven(stage: Stage) -> Trajectory | None:
-    """What a stage's picture shows as its path: an estimate, a plan, or the true path of a drive."""
-    if stage.kind in ("map", "localise"):
-        return stage.trajectory
-    if stage.kind == "plan":
-        return stage.plan
-    return stage.truth
 
 
 def _errors(stage: Stage) -> tuple[Stamps, Array] | None:

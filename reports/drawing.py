@@ -85,14 +85,12 @@ def _add_mapping_animation(
     if recording is None or slam is None or grid is None or not album.animate or len(slam) != len(recording):
         return
 
-    def draw() -> bytes:
-        return animation.gif(animation.mapping(recording, slam, odometry, grid))
-
     caption = (
         "The scans as SLAM places them, with its path in blue and the odometry's in purple. Walls seen again "
         "on a later visit should fall on those seen before."
     )
-    album.add_animation("animation", "Animation of the map", caption, draw)
+    told = recording, slam, odometry, grid
+    album.add_animation("animation", "Animation of the map", caption, animation.write_mapping, *told)
 
 
 def _add_graph(stage: Stage, grid: OccupancyGrid | None, album: Album) -> None:
@@ -205,18 +203,15 @@ def _add_run_animation(
     album: Album,
 ) -> None:
     goals = stage.metrics.get("goals") or []
-
-    def draw() -> bytes:
-        scans_at = estimate if estimate is not None else stage.truth
-        recording = if_there(load_recording, stage.folder)
-        return animation.gif(animation.run(world, truth, log.goal_index, goals, recording, scans_at))
-
+    scans_at = estimate if estimate is not None else stage.truth
     caption = (
         "The true path (pale), and the scan (green) drawn from the estimated pose. The scan should lie "
         "on the walls."
     )
     caption += " A goal is blue while pursued, green once reached, orange if missed." if goals else ""
-    album.add_animation("animation", "Animation of the run", caption, draw)
+    recording = if_there(load_recording, stage.folder)
+    told = world, truth, log.goal_index, goals, recording, scans_at
+    album.add_animation("animation", "Animation of the run", caption, animation.write_run, *told)
 
 
 def _add_particles(stage: Stage, world: OccupancyGrid | None, truth: Trajectory, album: Album) -> None:

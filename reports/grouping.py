@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from turtlebag.reports.kinds import KINDS
 from turtlebag.reports.stage_titles import names_of, unique_names
-from turtlebag.reports.stages import KINDS, Group, Stage
+from turtlebag.reports.stages import Group, Stage
 
 
 def group_stages(stages: Sequence[Stage]) -> list[Group]:
@@ -50,7 +51,7 @@ def _world(cluster: Sequence[Stage]) -> str | None:
 def _group(members: list[Stage]) -> Group:
     worlds = [world for stage in members if (world := stage.fact("world")) is not None]
     name = Path(worlds[0]).stem if worlds else _source_name(members[0])
-    ordered = sorted(members, key=lambda stage: KINDS.index(stage.kind))
+    ordered = sorted(members, key=lambda stage: list(KINDS).index(stage.kind))
     names = names_of(ordered, Group(name, tuple(ordered)).record_of)
     return Group(
         name,

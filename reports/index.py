@@ -9,11 +9,12 @@ from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
-from turtlebag.reports.content import collision_count, stage_metrics, verdict
+from turtlebag.reports.kinds import KINDS, stage_metrics, verdict
 from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.navigation import goal_counts
 from turtlebag.reports.numbers import lookup, shown
-from turtlebag.reports.stages import KINDS, Stage, load_stage, read_json
+from turtlebag.reports.stages import Stage, load_stage, read_json
+from turtlebag.reports.verdicts import collision_count
 
 BY_PATH = {spec.path: spec for specs in SPECS.values() for spec in specs}
 # (head, path in the metrics)

@@ -11,6 +11,18 @@ from pydantic import Field
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import plain_values
 
+MORE_IS_BETTER = (
+    "iou",
+    "iou_one_cell",
+    "coverage",
+    "within_one_cell",
+    "true_success",
+    "goals_truly_reached",
+    "min_clearance_m",
+)
+"""Last parts of paths."""
+LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")
+
 
 class MetricSpec(Settings):
     """A number by its dotted path in the metrics, as metric_specs.yaml describes it."""
@@ -28,6 +40,12 @@ class MetricSpec(Settings):
     judged: bool = True
     tolerance: Annotated[float, Field(ge=0.0)]
     """By how much it may differ where it is computed on another machine, in the unit it is stored in."""
+
+    @property
+    def sense(self) -> int:
+        """1 where more is better, -1 where less is, 0 where neither."""
+        last = self.path.rpartition(".")[2]
+        return (last in MORE_IS_BETTER) - (last in LESS_IS_BETTER)
 
 
 class Section(Settings):
@@ -82,16 +100,3 @@ def tolerance_of(kind: str, path: str, value: object) -> float:
     if known is not None:
         return known
     return OTHER_TOLERANCE * abs(value) if isinstance(value, int | float) else 0.0
-
-
-# Last parts of paths.
-MORE_IS_BETTER = (
-    "iou",
-    "iou_one_cell",
-    "coverage",
-    "within_one_cell",
-    "true_success",
-    "goals_truly_reached",
-    "min_clearance_m",
-)
-LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")

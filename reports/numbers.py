@@ -68,6 +68,19 @@ class Number:
         return sorted(found.items())
 
 
+@dataclass(frozen=True)
+class Row:
+    """One number of several outputs, in their order; None where one has none."""
+
+    spec: MetricSpec
+    values: Sequence[float | None]
+
+    @property
+    def texts(self) -> list[str]:
+        """The numbers as they are shown."""
+        return [shown(value, self.spec.unit) for value in self.values]
+
+
 def files_of(stage: Stage, sources: Sequence[str]) -> dict[str, str]:
     """sha256 of the stage's files that `sources` name: one, or all in a folder (`name/`) or `begin*`."""
     return {
@@ -79,10 +92,10 @@ def files_of(stage: Stage, sources: Sequence[str]) -> dict[str, str]:
 
 def shown(value: Any, unit: str) -> str:
     """A value in the unit's display form; a dash for what is not known."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
     if not isinstance(value, (int, float)) or not math.isfinite(value):
         return DASH
+    if isinstance(value, bool) or unit == "yes":
+        return "yes" if value else "no"
     factor, symbol, digits, _ = UNITS["m" if unit == "cm" and abs(value) >= 1.0 else unit]
     gap = "" if symbol in ("", "°") else "\u202f"
     size = factor * value

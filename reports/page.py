@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -11,22 +12,14 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from turtlebag.datasets.plurals import counted
-from turtlebag.reports.content import (
-    BAD,
-    GOOD,
-    GOOD_WALLS,
-    NEUTRAL,
-    Chapter,
-    collision_count,
-    overall_mood,
-)
+from turtlebag.reports.content import Chapter
 from turtlebag.reports.figures import style
 from turtlebag.reports.glossary import WORDS, explained
+from turtlebag.reports.kinds import KINDS
 from turtlebag.reports.metric_specs import GOAL_NUMBERS, SPECS
 from turtlebag.reports.metrics.navigation import goal_counts
 from turtlebag.reports.numbers import lookup, shown
-from turtlebag.reports.provenance import packages, recipe
-from turtlebag.reports.stages import Group
+from turtlebag.reports.verdicts import BAD, GOOD, GOOD_WALLS, NEUTRAL, collision_count, overall_mood
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
 THEMED = {
@@ -35,9 +28,6 @@ THEMED = {
     style.RULE: "var(--rule)",
     style.PAPER: "var(--paper)",
 }
-
-
-NOUNS = {"record": "recording", "map": "map", "localise": "localisation", "plan": "plan"}
 
 
 @dataclass(frozen=True)
@@ -53,8 +43,8 @@ class Tile:
     number: float | None = None
 
 
-def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
-    """The report's page as HTML text."""
+def render(chapters: Sequence[Chapter], steps: Sequence[object], packages: Sequence[tuple[str, str]]) -> str:
+    """The report's page as HTML text; `steps` and `packages` say how to make its numbers again."""
     mood, headline = overall(chapters)
     return fill(
         "report.html.j2",
@@ -62,8 +52,8 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         mood=mood,
         headline=headline,
         tiles=tiles(chapters),
-        steps=recipe(groups),
-        packages=packages(groups),
+        steps=steps,
+        packages=packages,
         words=WORDS,
         goal_numbers=GOAL_NUMBERS,
         planner_numbers=SPECS["plan"],
@@ -116,8 +106,8 @@ def overall(chapters: Sequence[Chapter]) -> tuple[str, str]:
         headline = f"{good} of {counted(len(runs), 'task')} succeeded{aside}"
         return (GOOD if good == len(runs) else BAD), headline
     mood = overall_mood(part.verdict[0] for part in parts)
-    counts = {kind: sum(part.stage.kind == kind for part in parts) for kind in NOUNS}
-    found = [counted(count, NOUNS[kind]) for kind, count in counts.items() if count]
+    counts = Counter(part.stage.kind for part in parts)
+    found = [counted(counts[name], kind.noun) for name, kind in KINDS.items() if counts[name]]
     return mood, ", ".join(found) + ", no navigation"
 
 

@@ -7,19 +7,17 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from turtlebag.reports.kinds import KINDS
 from turtlebag.reports.stages import Stage
 
-TITLES = {
-    "record": "Recording",
-    "map": "Mapping",
-    "localise": "Localisation",
-    "plan": "Planning",
+TASKS = {
     "goal": "Goal",
     "patrol": "Patrol",
     "avoid": "Obstacle avoidance",
     "explore": "Exploration",
-    "run": "Navigation",
+    "run": KINDS["navigate"].title,
 }
+"""Titles of runs by their task."""
 # Options of the command lines that tell stages apart, the first that do so first, and their wording.
 DISTINGUISHING = {
     "robot": "{}",
@@ -88,7 +86,7 @@ def unique_names(names: Sequence[str]) -> list[str]:
 
 
 def _title(stage: Stage, base: str) -> str:
-    title = TITLES.get(base, base.capitalize())
+    title = KINDS[base].title if base in KINDS else TASKS.get(base, base.capitalize())
     goal = _value(stage, "goal") if base == "goal" else None
     return f"{title} {','.join(goal.split(',')[:2])})" if goal else title
 

@@ -27,8 +27,8 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
 from turtlebag.datasets.types import Trajectory
 from turtlebag.datasets.yaml_files import checked, read_mapping
+from turtlebag.reports.metric_specs import SPECS
 
-KINDS = ("record", "map", "localise", "plan", "navigate")
 # Files that tie stages together when their hashes agree; a shared config proves nothing.
 LINKING = (".pgm", ".tum", *SUFFIXES, *LOGS, *PACKED)
 # Files that no two recordings share, of one world either.
@@ -67,7 +67,7 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One stage output: `kind` is one of KINDS; `label` names it within its group, `title` for people."""
+    """One stage output: `kind` is a key of SPECS; `label` names it within its group, `title` for people."""
 
     folder: Path
     kind: str
@@ -290,8 +290,8 @@ def load_stage(folder: Path) -> Stage:
         raise InputError(f"{folder}: has no manifest.json, so it is not a finished output")
     manifest = read_manifest(path)
     kind = manifest.stage
-    if kind not in KINDS:
-        raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(KINDS)}")
+    if kind not in SPECS:
+        raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(SPECS)}")
     return Stage(folder, kind, kind, manifest)
 
 

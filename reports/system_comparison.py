@@ -12,24 +12,17 @@ from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.figures.series import AXIS_TOLD
-from turtlebag.reports.metric_specs import MORE_IS_BETTER, SYSTEMS, MetricSpec
+from turtlebag.reports.metric_specs import SYSTEMS, MetricSpec
 from turtlebag.reports.metrics.references import References
 from turtlebag.reports.metrics.systems import Measured, Numbers
-from turtlebag.reports.numbers import lookup, shown
+from turtlebag.reports.numbers import Row, lookup, shown
 
 
 @dataclass(frozen=True)
-class Row:
-    """One number of all systems in their order, and how the best of them is shown, if one is."""
+class Beside(Row):
+    """One number of all systems, and how the best of them is shown, if one is."""
 
-    spec: MetricSpec
-    values: list[float | None]
     best: str | None
-
-    @property
-    def texts(self) -> list[str]:
-        """The numbers as they are shown."""
-        return [shown(value, self.spec.unit) for value in self.values]
 
 
 class SystemsMetrics(TypedDict):
@@ -59,7 +52,7 @@ class SystemComparison:
         return self.metrics["reference"] == "truth"
 
     @property
-    def sections(self) -> list[tuple[str, str, list[Row]]]:
+    def sections(self) -> list[tuple[str, str, list[Beside]]]:
         """(title, hint, rows) of what at least one system has a number for."""
         words = {
             "reference": "the truth" if self.judged_by_truth else OURS,
@@ -78,17 +71,16 @@ class SystemComparison:
         return found
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[Beside]:
         """Those of all sections."""
         return [row for _, _, rows in self.sections for row in rows]
 
-    def _row(self, spec: MetricSpec) -> Row:
+    def _row(self, spec: MetricSpec) -> Beside:
         values = [lookup(numbers, spec.path) for numbers in self.metrics["systems"].values()]
         known = [(value, shown(value, spec.unit)) for value in values if value is not None]
         judged = spec.judged and self._is_error(spec.path)
         judged = judged and len({text for _, text in known}) > 1
-        more = spec.path.rpartition(".")[2] in MORE_IS_BETTER
-        return Row(spec, values, (max if more else min)(known)[1] if judged else None)
+        return Beside(spec, values, (max if spec.sense > 0 else min)(known)[1] if judged else None)
 
     @property
     def sentence(self) -> str:

@@ -94,6 +94,19 @@ def test_no_imports_go_round_in_a_circle():
     TopologicalSorter(graph).prepare()  # CycleError names the circle
 
 
+def scripts(page: Path) -> dict[str, set[str]]:
+    """The scripts of a page, and which of them each imports."""
+    name = re.compile(r"""(?:from|import)\s*\(?\s*["']\./([\w.]+)["']""")
+    return {path.name: set(name.findall(path.read_text())) for path in page.glob("*.js")}
+
+
+def test_no_scripts_of_a_page_import_each_other_in_a_circle():
+    graph = scripts(ROOT / "pipeline/studio/static")
+    assert len(graph["main.js"]) > 9
+    assert set().union(*graph.values()) <= set(graph)
+    TopologicalSorter(graph).prepare()  # CycleError names the circle
+
+
 def test_every_package_is_installed():
     told = re.findall(r'^    "(turtlebag[\w.]*)"', (ROOT / "pyproject.toml").read_text(), re.M)
     folders = {path.parent.relative_to(ROOT).as_posix() for path in SOURCES if path.name == "__init__.py"}
@@ -144,7 +157,7 @@ def test_nobody_who_drives_reads_the_truth():
     for name, readers in may.items():
         assert {path.name for path in folder.rglob("*.py") if name in names_read(path)} == readers
     # In the studio those who write it down and those who draw it; not what drives, nor what an input does.
-    drawn = {"run_log.py", "publisher.py", "run.py", "session.py", "socket_messages.py"}
+    drawn = {"run_log.py", "publisher.py", "robot.py", "socket_messages.py"}
     for path in (ROOT / "pipeline/studio").rglob("*.py"):
         assert path.name in drawn or not names_read(path) & set(may), path.relative_to(ROOT)
     for package in ("planners", "pipeline/localisation", "pipeline/slam"):

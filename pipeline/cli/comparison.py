@@ -19,7 +19,7 @@ def print_comparison(found: Comparison | SystemComparison) -> None:
 def _print_outputs(found: Comparison) -> None:
     for key, one, other in found.settings:
         say(f"{key}: {one} -> {other}")
-    rows = [(row.label, row.a, row.b, row.difference, row.relative) for row in found.rows]
+    rows = [(row.spec.label, *row.texts, row.difference, row.relative) for row in found.rows]
     print_table([("", "A", "B", "B - A", ""), *rows] if rows else [])
     say(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
 

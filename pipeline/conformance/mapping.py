@@ -29,7 +29,7 @@ from turtlebag.pipeline.conformance.trial_room import (
     require_near,
 )
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track, TrackingConfig
@@ -189,7 +189,7 @@ def check_back_end(back_end: Callable[[], BackEnd]) -> None:
     start = SE2(np.vstack([truth.xyt[:1], start.xyt[1:]]))
     information = np.diag([400.0, 400.0, 1600.0])
     pairs = [(k, k + 1) for k in range(29)] + [(0, 29), (3, 27)]
-    exact = [Constraint(i, j, (truth[i].inverse() @ truth[j]).xyt, information, "step") for i, j in pairs]
+    exact = [Constraint(i, j, (truth[i].inverse() @ truth[j]).xyt, information, Kind.STEP) for i, j in pairs]
     silent = replace(exact[5], T_i_j=np.array([9.0, 0.0, 0.0]), information=np.zeros((3, 3)))
     lie = replace(exact[29], i=2, j=20, T_i_j=np.array([3.0, 0.0, 0.0]), cauchy=1.0)
     given = [start.xyt, *(c.T_i_j for c in (*exact, silent, lie)), information]

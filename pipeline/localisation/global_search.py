@@ -31,7 +31,7 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.resampling import effective_size, low_variance
 
 # With these numbers 100 of 100 robots were found in the house, and 40 of 40 in buildings not used for tuning
-# (docs/results_localisation.md); the effect of each is not measured. Poses drawn over the free space; the
+# (docs/lab/localisation.md); the effect of each is not measured. Poses drawn over the free space; the
 # best are kept.
 CANDIDATES = 20000
 # Perturbation after each stage: standard deviations [m and rad], and the number of particles left for the

@@ -29,10 +29,9 @@ from turtlebag.pipeline.slam.loops.closure import Progress, close_graph
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks, track_breaks_of
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.odometry.trust import distrusted, jumps
-from turtlebag.pipeline.slam.reregistration import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.scans.clouds import (
     USABLE_M,
     Clouds,
@@ -59,7 +58,7 @@ from turtlebag.pipeline.slam.sessions import (
 )
 
 # Settings that the front end does not read; a change of any other one starts it anew.
-LATER = {"back_end", "loops", "place_recognition", "refine", "reregistration", "grid"}
+LATER = {"back_end", "loops", "place_recognition", "refine", "grid"}
 
 
 CloudsOf = Callable[[NDArray[np.int64] | None], Clouds]
@@ -73,7 +72,10 @@ Sensors = Annotated[
 class SlamConfig(Settings):
     """Everything that shapes a map."""
 
-    RENAMED: ClassVar = {"recall": "place_recognition", "posing": "reregistration"}
+    RENAMED: ClassVar = {"recall": "place_recognition"}
+    REMOVED: ClassVar = dict.fromkeys(
+        ("reregistration", "posing"), "scans between key scans move with these, and are not aligned once more"
+    )
 
     sensors: Sensors = "both"
     front_end: FrontEndName = Field(
@@ -93,7 +95,6 @@ class SlamConfig(Settings):
     loops: LoopConfig = LoopConfig()
     place_recognition: PlaceRecognitionConfig = PlaceRecognitionConfig()
     refine: RefineConfig = RefineConfig()
-    reregistration: ReregistrationConfig = ReregistrationConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
     def usable(self, lidar: LidarSpec) -> float:
@@ -197,11 +198,9 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
     usable, track = config.usable(recording.lidar), session.track
     torn = np.concatenate([session.breaks.gaps, jumps(recording, track, track.T_track_base, session.borders)])
-    poses, overlap = pose_all_scans(
-        session.clouds, session.clouds_of, track, session.graph.T_map_keys, config.reregistration, torn
-    )
+    poses = carried_poses(track.T_track_base, track.keys, session.graph.T_map_keys, torn)
     grid, certainty = make_checked_grid(recording, poses, config.grid, usable, session.motion)
-    check = check_map(session, poses, overlap, config.tracking.odometry, certainty)
+    check = check_map(session, poses, config.tracking.odometry, certainty)
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 
 
@@ -330,7 +329,6 @@ def _by_odometry(config: SlamConfig) -> SlamConfig:
         "loops": config.loops.model_copy(update={"enabled": False}),
         "place_recognition": config.place_recognition.model_copy(update={"enabled": False}),
         "refine": config.refine.model_copy(update={"rounds": 0}),
-        "reregistration": config.reregistration.model_copy(update={"enabled": False}),
     }
     return config.model_copy(update=off)
 

@@ -11,10 +11,10 @@ import json
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from functools import cache as once
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from turtlebag.datasets.files import require_bounded_zip
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.datasets.yaml_files import checked
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Kind, Loop
 from turtlebag.pipeline.slam.mapper import LATER, SlamConfig
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
@@ -81,6 +81,16 @@ INDICES = {
     **{f"{record}_{end}": "k" for record in ("constraint", "loop", "recognised") for end in "ij"},
 }
 """Arrays of scan or key numbers."""
+POSES = ("T_base_lidar", "T_odom_base", "motion", "T_map_keys", "track_T_track_base")
+RECORDS: dict[str, tuple[str, type]] = {
+    "constraint": ("constraints", Constraint),
+    "loop": ("loops", Loop),
+    "recognised": ("recognised", Loop),
+}
+"""Lists of records in a `Graph`: name in the file, field, type."""
+WORDS: dict[str, type] = {"kind": Kind, "verdict": str}
+"""Fields of these records that are written as JSON."""
+Record = TypeVar("Record")
 UNREADABLE = (
     OSError, EOFError, ValueError, KeyError, TypeError, AttributeError,
     InputError, zipfile.BadZipFile, zlib.error,
@@ -102,29 +112,13 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         "calibration": {k: v for k, v in vars(track.calibration).items() if np.ndim(v) == 0},
         "range_calibration": vars(session.ranges),
     }
-    arrays: dict[str, Any] = {
-        "about": _text(about),
-        "stamps_ns": recording.stamps_ns,
-        "ranges": recording.ranges,
-        "T_base_lidar": recording.T_base_lidar.xyt,
-        "noise": track.calibration.noise,
-        "covariance": track.calibration.covariance,
-        "T_map_keys": graph.T_map_keys.xyt,
-        "unbridged": graph.unbridged,
-        **{
-            f"track_{f.name}": _plain(getattr(track, f.name))
-            for f in fields(Track)
-            if f.name != "calibration"
-        },
-        **{f"breaks_{f.name}": getattr(session.breaks, f.name) for f in fields(TrackBreaks)},
-        **_columns("constraint", graph.constraints, Constraint),
-        **_columns("loop", graph.loops, Loop),
-        **_columns("recognised", graph.recognised, Loop),
-        "T_odom_base": None if recording.T_odom_base is None else recording.T_odom_base.xyt,
-        "motion": None if session.motion is None else session.motion.xyt,
-    }
+    arrays = {"about": _text(about)} | ({} if session.motion is None else {"motion": session.motion.xyt})
+    arrays |= _arrays("", recording) | _arrays("", track.calibration) | _arrays("", graph)
+    arrays |= _arrays("track_", track) | _arrays("breaks_", session.breaks)
+    for name, (of, kind) in RECORDS.items():
+        arrays |= _columns(name, getattr(graph, of), kind)
     with path.open("wb") as file:
-        np.savez_compressed(file, **{name: value for name, value in arrays.items() if value is not None})
+        np.savez_compressed(file, **arrays)
 
 
 def load_session(folder: Path) -> tuple[Session, SlamConfig]:
@@ -170,40 +164,30 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     if about["format"] != FORMAT:
         has = about["format"]
         raise ValueError(f"format {has}, but this version reads {FORMAT}; map its recording again")
-    lidar = {name: float(value) for name, value in about["lidar"].items()}
-    calibration_of = {name: float(value) for name, value in about["calibration"].items()}
+    lidar: dict[str, Any] = {name: float(value) for name, value in about["lidar"].items()}
+    calibration_of: dict[str, Any] = {name: float(value) for name, value in about["calibration"].items()}
     ranges = {name: float(value) for name, value in about["range_calibration"].items()}
     if not np.isfinite([*lidar.values(), *calibration_of.values(), *ranges.values()]).all():
         raise ValueError("its lidar or its calibration is invalid")
     config = checked(SlamConfig, about["settings"], where="its settings")
-    beams, pairs = int(lidar.pop("n_beams")), int(calibration_of.pop("pairs"))
-    _check(stored, beams)
-    recording = Recording(
-        source=str(about["source"]),
-        stamps_ns=stored["stamps_ns"],
-        ranges=stored["ranges"],
-        lidar=LidarSpec(n_beams=beams, **lidar),
-        T_base_lidar=SE2(stored["T_base_lidar"]),
-        T_odom_base=_poses(stored, "T_odom_base"),
-    )
-    motion, usable = _poses(stored, "motion"), config.usable(recording.lidar)
-    calibration = Calibration(
-        **calibration_of, pairs=pairs, noise=stored["noise"], covariance=stored["covariance"]
-    )
-    track: dict[str, Any] = {f.name: stored.get(f"track_{f.name}") for f in fields(Track)}
-    track |= {"T_track_base": SE2(stored["track_T_track_base"]), "calibration": calibration}
-    graph = Graph(
-        SE2(stored["T_map_keys"]),
-        _rows("constraint", stored, Constraint),
-        _rows("loop", stored, Loop),
-        _rows("recognised", stored, Loop),
-        stored["unbridged"],
-    )
-    breaks = TrackBreaks(*(stored[f"breaks_{f.name}"] for f in fields(TrackBreaks)))
-    keys, clouds_of = stored["track_keys"], clouds_maker(recording, usable, motion)
-    clouds = once(lambda: among(clouds_of(keys), keys, len(recording)))
-    learnt = RangeCalibration(**ranges)
-    return Session(recording, clouds, clouds_of, motion, Track(**track), breaks, graph, learnt), config
+    lidar["n_beams"], calibration_of["pairs"] = int(lidar["n_beams"]), int(calibration_of["pairs"])
+    _check(stored, lidar["n_beams"])
+    recording = _record(Recording, "", stored, source=str(about["source"]), lidar=LidarSpec(**lidar))
+    calibration = _record(Calibration, "", stored, **calibration_of)
+    track = _record(Track, "track_", stored, calibration=calibration)
+    records = {of: _rows(name, stored, kind) for name, (of, kind) in RECORDS.items()}
+    motion = _value("motion", stored)
+    clouds_of = clouds_maker(recording, config.usable(recording.lidar), motion)
+    return Session(
+        recording=recording,
+        clouds=once(lambda: among(clouds_of(track.keys), track.keys, len(recording))),
+        clouds_of=clouds_of,
+        motion=motion,
+        track=track,
+        breaks=_record(TrackBreaks, "breaks_", stored),
+        graph=_record(Graph, "", stored, **records),
+        ranges=RangeCalibration(**ranges),
+    ), config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:
@@ -239,12 +223,26 @@ def _text(value: object) -> Any:
     return np.frombuffer(json.dumps(value).encode(), dtype=np.uint8)
 
 
-def _plain(value: Any) -> Any:
-    return value.xyt if isinstance(value, SE2) else value
+def _arrays(prefix: str, record: Any) -> dict[str, Any]:
+    """The fields of a record that LAYOUT names and that are there, poses as plain arrays."""
+    values = {f"{prefix}{f.name}": getattr(record, f.name) for f in fields(record)}
+    return {
+        name: value.xyt if isinstance(value, SE2) else value
+        for name, value in values.items()
+        if name in LAYOUT and value is not None
+    }
 
 
-def _poses(stored: dict[str, Any], name: str) -> SE2 | None:
-    return SE2(stored[name]) if name in stored else None
+def _value(name: str, stored: dict[str, Any]) -> Any:
+    """A stored field, None if it is not there."""
+    value = stored.get(name)
+    return SE2(value) if name in POSES and value is not None else value
+
+
+def _record(kind: type[Record], prefix: str, stored: dict[str, Any], **others: Any) -> Record:
+    """A record from its stored fields and `others`."""
+    names = {f.name: f"{prefix}{f.name}" for f in fields(kind)}  # type: ignore[arg-type]
+    return kind(**{field: _value(name, stored) for field, name in names.items() if name in LAYOUT}, **others)
 
 
 def _columns(name: str, rows: Sequence[Any], kind: type) -> dict[str, Any]:
@@ -252,8 +250,7 @@ def _columns(name: str, rows: Sequence[Any], kind: type) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for field in fields(kind):
         column = [getattr(row, field.name) for row in rows]
-        words = field.name in ("kind", "verdict")
-        out[f"{name}_{field.name}"] = _text(column) if words else np.array(column)
+        out[f"{name}_{field.name}"] = _text(column) if field.name in WORDS else np.array(column)
     return out
 
 
@@ -261,9 +258,15 @@ def _rows(name: str, stored: dict[str, Any], kind: type) -> list[Any]:
     columns = []
     for field in fields(kind):
         column = stored[f"{name}_{field.name}"]
-        if field.name in ("kind", "verdict"):
-            columns.append(json.loads(bytes(column)))
+        if word := WORDS.get(field.name):
+            columns.append([word(one) for one in json.loads(bytes(column))])
         else:
             # scalars as Python's own, so that they are written as the same text
             columns.append(column.tolist() if column.ndim == 1 else list(column))
-    return [kind(*row) for row in zip(*columns, strict=True)]
+    rows = [kind(*row) for row in zip(*columns, strict=True)]
+    # files of earlier versions call a border a loop
+    return [replace(c, kind=Kind.BORDER) if _is_border(c) else c for c in rows]
+
+
+def _is_border(c: Constraint | Loop) -> bool:
+    return isinstance(c, Constraint) and c.kind is Kind.LOOP and c.j == c.i + 1

@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph
+from turtlebag.pipeline.slam.graph.factors import ALONG_THE_LOG, Constraint, Graph, Kind
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.submaps import windows
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
-from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.reregistration import carried_poses
+from turtlebag.pipeline.slam.odometry.track import Track, carried_poses
 from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 
-STEPS = ("step", "odometry", "steady")
-"""Kinds of constraints along the log."""
 BORDER = np.diag([25.0, 25.0, 100.0])
 """Information of the constraint between two sessions: 0.2 m and 0.1 rad."""
 
@@ -48,8 +45,7 @@ class Session:
     @property
     def borders(self) -> NDArray[np.int64]:
         """The first scans of later recordings."""
-        joins = [c.j for c in self.graph.constraints if c.kind == "loop" and c.j == c.i + 1]
-        return self.track.keys[joins]
+        return self.track.keys[[c.j for c in self.graph.constraints if c.kind is Kind.BORDER]]
 
     @property
     def unconfirmed(self) -> NDArray[np.int64]:
@@ -126,8 +122,8 @@ def place_of(
     config = config.model_copy(update={"min_support": max(min(config.min_support, submaps), 1)})
     for share in (8, 4, 2, 1):
         asked = n + (len(keys) - n) // share
-        steps = [c for c in constraints if max(c.i, c.j) < asked and c.kind in STEPS]
-        held = [c for c in constraints if max(c.i, c.j) < asked and c.kind not in STEPS]
+        steps = [c for c in constraints if max(c.i, c.j) < asked and c.kind in ALONG_THE_LOG]
+        held = [c for c in constraints if max(c.i, c.j) < asked and c.kind not in ALONG_THE_LOG]
         log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, breaks.first(asked - 1), held
         record = recognise_places(*log, config, LoopClosing(loops)).record
         found = [place for place in record if place.accepted and place.j < n <= place.i]
@@ -142,4 +138,4 @@ def border_constraint(a: Track, T_map_keys: SE2, T_map_b: SE2, b: Track) -> Cons
     rest."""
     last = len(a.keys) - 1
     relative = T_map_keys[last].inverse() @ (T_map_b @ b.T_track_base[b.keys[0]])
-    return Constraint(last, last + 1, relative.xyt, BORDER, "loop")
+    return Constraint(last, last + 1, relative.xyt, BORDER, Kind.BORDER)

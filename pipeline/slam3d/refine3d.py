@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, in_rounds
 from turtlebag.pipeline.slam.scans.align import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
@@ -51,7 +51,7 @@ def refine(
             result = places.fit(i, keys.points(j, POINTS), guess, gate)
             if result.overlap >= LEAST_OVERLAP:
                 information = observable(result.information) / COVARIANCE_SCALE
-                found.append(Constraint(i, j, result.T, information, "pair", CAUCHY))
+                found.append(Constraint(i, j, result.T, information, Kind.PAIR, CAUCHY))
         return found
 
     rough = max(GATE_VOXELS * voxel, fine := SIGMAS * KERNEL_M)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.check.selfcheck import APART_KEYS, MOST_WRONG
 from turtlebag.pipeline.slam.check.verdict import Verdict
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import residuals
 from turtlebag.pipeline.slam.odometry.breaks import gaps_between
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
@@ -45,7 +45,7 @@ def check_map(
     """Check a finished map."""
     empty = int(np.count_nonzero(~track.usable))
     lost: NDArray[np.int64] = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
-    seen = [c for c in constraints if c.kind in ("pair", "loop") and abs(c.j - c.i) >= APART_KEYS]
+    seen = [c for c in constraints if c.kind in (Kind.PAIR, Kind.LOOP) and abs(c.j - c.i) >= APART_KEYS]
     left = np.linalg.norm(residuals(T_map_keys, seen)[:, 3:], axis=1)
     disagreeing = float(np.mean(left > APART_VOXELS * voxel)) if len(left) else 0.0
     reasons = []
@@ -69,11 +69,13 @@ def _broken(
     if track.T_odom is not None:
         return []
     keys, reasons = np.array(track.keys), []
-    tied = [(*sorted((keys[c.i], keys[c.j])), c.kind) for c in constraints if c.kind in ("pair", "loop")]
+    tied = [
+        (*sorted((keys[c.i], keys[c.j])), c.kind) for c in constraints if c.kind in (Kind.PAIR, Kind.LOOP)
+    ]
     alone = [index for index in lost.tolist() if not any(a < index < b for a, b, _ in tied)]
     if alone:
         reasons.append(f"cloud {alone[0]} fits nothing before it, and no later match connects the two parts")
-    places = [(a, b) for a, b, kind in tied if kind == "loop"]
+    places = [(a, b) for a, b, kind in tied if kind is Kind.LOOP]
     gaps = gaps_between(stamps_ns, track.usable)[:, 1].tolist()
     unknown = [after for after in gaps if not any(a < after <= b for a, b in places)]
     if unknown:

@@ -15,12 +15,12 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig
 from turtlebag.pipeline.slam.loops.closure import Progress
 from turtlebag.pipeline.slam.mapper import Sensors, no_progress
 from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE
-from turtlebag.pipeline.slam.reregistration import carried_poses
+from turtlebag.pipeline.slam.odometry.track import carried_poses
 from turtlebag.pipeline.slam.scans.align import CAUCHY
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
 from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker
@@ -110,7 +110,7 @@ def run_slam_3d(
         # what was matched from key to key is matched again, where all keys have places that they are no part
         # of; loops stay as they were found
         again = len(track.keys) >= 2 * (REACH + 1)
-        hold = [c for c in constraints if c.kind != "step" or not again]
+        hold = [c for c in constraints if c.kind is not Kind.STEP or not again]
         T_keys, constraints = refine(track.places, T_keys, hold, setup.voxel, config.refine)
     T = carried_poses(track.T, np.array(track.keys), T_keys)
     T, cloud, grid = _drawn(sweeps("drawing the map"), track, T, setup, config)
@@ -146,12 +146,12 @@ def step_constraints(track: Track3d) -> list[Constraint]:
     for k in range(len(track.keys) - 1):
         step = se3.inverse(T[k]) @ T[k + 1]
         seen = observable(track.information[k + 1]) / COVARIANCE_SCALE
-        constraints.append(Constraint(k, k + 1, step, seen + np.diag(HOLD**-2), "step"))
+        constraints.append(Constraint(k, k + 1, step, seen + np.diag(HOLD**-2), Kind.STEP))
         if track.T_odom is not None:
             a, b = track.T_odom[track.keys[k]], track.T_odom[track.keys[k + 1]]
             constraints.append(_odometry(k, se3.inverse(a) @ b))
         else:
-            constraints.append(Constraint(k, k + 1, step, np.diag(HOLD**-2), "odometry"))
+            constraints.append(Constraint(k, k + 1, step, np.diag(HOLD**-2), Kind.WHEELS))
     return constraints
 
 
@@ -160,7 +160,7 @@ def _odometry(k: int, T: Array) -> Constraint:
     way, turn = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3])
     along, yaw = 0.01 + ODOMETRY_SHARE * way, 0.01 + ODOMETRY_SHARE * turn
     sigmas = np.array([FLAT, FLAT, yaw, along, along, FLAT])
-    return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", cauchy=CAUCHY)
+    return Constraint(k, k + 1, T, np.diag(sigmas**-2), Kind.WHEELS, cauchy=CAUCHY)
 
 
 def _drawn(

@@ -14,12 +14,12 @@ from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.yaml_files import checked
 from turtlebag.pipeline.stages.command_line import read, recorded
 from turtlebag.pipeline.stages.other_systems import MARK, from_manifest
+from turtlebag.pipeline.stages.recipe import folder_of
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.table import REQUESTS
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
-from turtlebag.reports.provenance import folder_of
 from turtlebag.reports.stages import Input, Manifest, Stage, changed_files
 
 OURS = "turtlebag."

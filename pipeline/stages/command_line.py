@@ -38,13 +38,13 @@ def _add_field(parser: Parser, name: str, field: FieldInfo, option: Option) -> N
         words |= {"dest": name, "required": field.is_required()}
     if field.annotation is bool:
         action = "store_false" if field.default else "store_true"
-        parser.add_argument(_flag(name, option), action=action, **{**words, "required": False})
+        parser.add_argument(flag(name, option), action=action, **{**words, "required": False})
         return
     words |= {"type": option.read} | ({"metavar": option.value} if option.value else {})
     words |= {"choices": option.choices} if option.choices else {}
     if _repeated(field):
         words |= {"nargs": "+"} if option.positional else {"action": "append"}
-    parser.add_argument(name if option.positional else _flag(name, option), **words)
+    parser.add_argument(name if option.positional else flag(name, option), **words)
 
 
 def option_of(field: FieldInfo) -> Option:
@@ -54,10 +54,11 @@ def option_of(field: FieldInfo) -> Option:
 
 def flag_of_field(request: Request, name: str) -> str:
     """The option of a request's field."""
-    return _flag(name, option_of(type(request).model_fields[name]))
+    return flag(name, option_of(type(request).model_fields[name]))
 
 
-def _flag(name: str, option: Option) -> str:
+def flag(name: str, option: Option) -> str:
+    """The option of a request's field by its name."""
     return option.name or flag_of(name)
 
 
@@ -84,7 +85,7 @@ def request_of(kind: type[Asked], args: argparse.Namespace) -> Asked:
         value = given.get(str(name))
         if isinstance(value, list) and places and isinstance(places[0], int):
             value = value[places[0]]
-        option = _flag(str(name), option_of(kind.model_fields[str(name)]))
+        option = flag(str(name), option_of(kind.model_fields[str(name)]))
         raise InputError(f"{option} {value}: {plain_message(first)}") from None
 
 
@@ -118,13 +119,13 @@ def words_of(request: Request) -> list[str]:
             texts = map(_word, value if _repeated(field) else [value])
             words += [f"./{text}" if text.startswith("-") else text for text in texts]
         elif isinstance(value, bool):
-            options += [_flag(name, option)] if value != field.default else []
+            options += [flag(name, option)] if value != field.default else []
         elif isinstance(value, dict):  # settings, or what a file of them says
             options += [word for held in value.items() for word in ("--set", _setting(*held))]
         elif value is not None and value != field.default:
+            said = flag(name, option)
             for text in map(_word, value if _repeated(field) else [value]):
-                flag = _flag(name, option)
-                options += [f"{flag}={text}"] if text.startswith("-") else [flag, text]
+                options += [f"{said}={text}"] if text.startswith("-") else [said, text]
     return [*words, *options]
 
 

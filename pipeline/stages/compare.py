@@ -11,14 +11,15 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of, systems_of
+from turtlebag.pipeline.stages.recipe import command_of
 from turtlebag.pipeline.stages.requests.options import flag_of
 from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
-from turtlebag.reports.content import BAD, GOOD
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
+from turtlebag.reports.verdicts import BAD, GOOD
 
 
 def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
@@ -51,13 +52,14 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
         return found
     names = {"name_a": f"A: {a.resolve().name}", "name_b": f"B: {b.resolve().name}"}
     moods = [row.mood for row in found.rows]
-    told = {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
+    told = {"commands": [command_of(stage, name) for stage, name in zip(stages, "AB", strict=True)]}
+    told |= {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
     with out.staged() as folder:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)
         page = fill("compare.html.j2", **names, found=found, pictures=album.pictures, **told)
         (folder / "index.html").write_text(page)
-        metrics = {row.path: row.values for row in found.rows}
+        metrics = {row.spec.path: row.values for row in found.rows}
         out.finish(folder, "compare", {"A": a, "B": b}, metrics=metrics)
     return found
 

@@ -11,8 +11,9 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.other_systems import for_manifest, inputs_of, measured_in
+from turtlebag.pipeline.stages.recipe import packages, recipe
 from turtlebag.pipeline.terminal.messages import drawing
-from turtlebag.reports.content import BAD, GOOD, build_chapter
+from turtlebag.reports.content import build_chapter
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.foxglove_layout import viewer_layouts
 from turtlebag.reports.grouping import group_stages
@@ -22,6 +23,7 @@ from turtlebag.reports.page import fill, render
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import compare_systems, write_pairs
 from turtlebag.reports.tables import write_tables
+from turtlebag.reports.verdicts import BAD, GOOD
 
 
 def make_report(
@@ -52,7 +54,7 @@ def make_report(
                 shown = compare_systems(systems, known, album, f"{chapters[0].anchor}-systems")
                 chapters = [replace(chapters[0], systems=shown)]
                 write_pairs(systems, partial / "systems")
-        (partial / "index.html").write_text(render(chapters, groups))
+        (partial / "index.html").write_text(render(chapters, recipe(groups), packages(groups)))
         write_tables(chapters, partial / "tables")
         stages = [stage for group in groups for stage in group.stages]
         for name, layout in viewer_layouts(stages).items():

@@ -13,11 +13,8 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.teleop_override import Script
-from turtlebag.pipeline.slam.mapper import SlamConfig
-from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import Drive, Input, Plain
 from turtlebag.pipeline.studio.journal import load_session
-from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup, setup_of
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt
@@ -31,7 +28,7 @@ def studio_output(
     *,
     say: Callable[[str], None] = say,
     session_file: Path | None = None,
-) -> Iterator[BaseSession]:
+) -> Iterator[Session]:
     """A session whose files grow in OUT.partial and are put in place when the block is left.
 
     A session that did not end within the block ends there. `say` takes the lines of the event log,
@@ -41,16 +38,11 @@ def studio_output(
     files = {**setup.files, **({} if session_file is None else {"session": session_file})}
     by_hand = session_file is None  # only what a person did cannot be done again
     with out.staged(files.values(), save_bag=by_hand) as folder:
-        session: BaseSession
-        if isinstance(setup, BagSetup):
-            with Playback(setup, folder, say) as session:
-                yield session
-            config, about = config_text(SlamConfig()), {}
-        else:
-            with Session(setup, folder, say) as session:
-                yield session
+        with Session(setup, folder, say) as session:
+            yield session
+        about = {}
+        if isinstance(setup, StudioSetup):
             save_map(setup.arena.rasterize(setup.spec.lidar_height), folder / "truth")
-            config = config_text(setup.config)
             about = {"world": setup.arena.name, "robot": setup.spec.name}
         simulated_s = seconds(session.stamp_ns)
         pace = {"realtime_factor": round(simulated_s / max(out.wall_s, 1e-9), 2)}
@@ -59,8 +51,8 @@ def studio_output(
             "studio",
             files,
             metrics=session.metrics(),
-            config=config,
-            seed=None if isinstance(setup, BagSetup) else setup.seed,
+            config=config_text(setup.config),
+            seed=setup.seed if isinstance(setup, StudioSetup) else None,
             extra={**about, "out": str(out.folder), **pace},
         )
     log.info(f"{simulated_s:.1f} simulated seconds -> {out.folder}")
@@ -98,7 +90,7 @@ def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say)
     return 128 + interrupted[0] if interrupted else 0
 
 
-def _apply(session: BaseSession, action: Input, session_file: Path) -> None:
+def _apply(session: Session, action: Input, session_file: Path) -> None:
     try:
         session.apply(action)
     except InputError as error:

@@ -14,8 +14,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import cpu_name, package_versions, plain
 from turtlebag.pipeline.stages.again import NotRun, command_differs, made_again, report_again
 from turtlebag.pipeline.stages.other_systems import MARK
-from turtlebag.reports.content import stage_metrics
 from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.kinds import stage_metrics
 from turtlebag.reports.metric_specs import tolerance_of
 from turtlebag.reports.numbers import leaves
 from turtlebag.reports.stages import (

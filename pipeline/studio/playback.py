@@ -5,7 +5,7 @@ Simulated time only moves forward, so that `session.yaml` can be replayed; input
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,15 +18,17 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Scan, Stamps, Trajectory
 from turtlebag.pipeline.slam.graph.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
-from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.mapper import run_slam
 from turtlebag.pipeline.slam.online.log import heard
 from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.base_session import BaseSession
+from turtlebag.pipeline.studio.inputs import LONGEST_BAG_S
+from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
 from turtlebag.pipeline.studio.setup import BagSetup
-from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, View
-from turtlebag.pipeline.studio.visuals import Cached, Trail
+from turtlebag.pipeline.studio.view import BagMarks, Level, LoopMarks, MapLayer, View
+from turtlebag.pipeline.studio.visuals import Cached, EventLog, Trail
+from turtlebag.sim.robots import stamp_of
 
 EDITS = "edits.yaml"
 NO_KEYS = np.zeros(0, dtype=np.int64)
@@ -83,20 +85,18 @@ class Playhead:
         return self.forward(position_ns)
 
 
-class Playback(BaseSession):
-    """Plays a bag. InputError for one that cannot be mapped."""
+class Playback:
+    """Plays a bag, which has no robot to drive."""
 
-    def __init__(
-        self,
-        setup: BagSetup,
-        folder: Path,
-        say: Callable[[str], None],
-        config: SlamConfig | None = None,
-    ) -> None:
-        """`config`: how the whole bag is mapped."""
-        self._log, self.scene = setup.recording, setup.scene()
-        self._config = config or SlamConfig()
-        super().__init__(setup.header(), folder, say)
+    by_hand = None
+    longest_s = LONGEST_BAG_S
+
+    def __init__(self, setup: BagSetup, folder: Path, events: EventLog) -> None:
+        """InputError for a bag that cannot be mapped."""
+        self._log, self._config = setup.recording, setup.config
+        self._folder, self._events = folder, events
+        self._library = Library(folder, None)
+        self._step = 0
         self._head = Playhead(self._log.stamps_ns)
         self._edits = Edits()
         self._online: Online | None = None
@@ -108,11 +108,12 @@ class Playback(BaseSession):
         self._trails = {"odom": Trail(), "slam": Trail()}
         self._cached = Cached()
         for note in self._log.notes:
-            self._events.add(0, note)
+            self.say(note)
 
     @property
-    def _told_ns(self) -> int:
-        return self._head.position_ns
+    def stamp_ns(self) -> int:
+        """Simulated time since the session began [ns]."""
+        return stamp_of(self._step)
 
     @property
     def idle(self) -> bool:
@@ -121,15 +122,12 @@ class Playback(BaseSession):
 
     def tick(self) -> None:
         """One control period of the bag."""
-        if self.ended or self.idle:
-            return
-        self._journal.tick(self.stamp_ns, None)
         self._step += 1
-        self._play(self._head.forward(self._head.position_ns + self.period_ns))
+        self._play(self._head.forward(self._head.position_ns + stamp_of(1)))
         if self.idle or self._step % DRAWN_EVERY == 0:
             self._draw()
         if self.idle:
-            self._events.add(self._told_ns, "the bag is at its end")
+            self.say("the bag is at its end")
 
     def interrupt(self) -> None:
         """Break off the mapping of the whole bag that may be under way; called from another thread."""
@@ -142,15 +140,18 @@ class Playback(BaseSession):
             yield item
 
     def metrics(self) -> dict[str, Any]:
-        """How long it lasted [s], and how much of the bag was played."""
-        return {
-            "task": "studio",
-            "time_s": round(seconds(self.stamp_ns), 6),
-            "scans": len(self._log),
-            "played": self._head.scan + 1,
-        }
+        """How much of the bag was played."""
+        return {"scans": len(self._log), "played": self._head.scan + 1}
 
-    def _done(self, entry: inputs.Input) -> str:
+    def say(self, text: str, level: Level = "info") -> None:
+        """A line for the event log, at the time of the bag."""
+        self._events.add(self._head.position_ns, text, level)
+
+    def close(self, failure: type[BaseException] | None = None) -> None:
+        """All files are finished already."""
+
+    def act(self, entry: inputs.Input) -> str:
+        """Do what is asked for; returns what there is to tell of it. InputError when it cannot be done."""
         match entry:
             case inputs.Plain(do="stop" | "release"):
                 return ""
@@ -249,7 +250,7 @@ class Playback(BaseSession):
         for added, loop in zip(self._edits.add, result.loops, strict=False):
             if not loop.accepted:
                 text = f"scan {added.scan} at scan {added.place}: not joined: {loop.verdict}"
-                self._events.add(self._told_ns, text, "warning")
+                self.say(text, "warning")
                 refused += 1
         told = f"{result.check.verdict} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
         return f"{told}; {refused} of the added loops rejected" if refused else told
@@ -258,7 +259,7 @@ class Playback(BaseSession):
         """Save the map of the whole bag, built first if the loop edits have changed."""
         self._library.check_name(name)
         if self._built is None or self._built.edits != self._edits:
-            self._events.add(self._told_ns, self._build())
+            self.say(self._build())
         assert self._built is not None
         self._library.save_map(name, self._built.layer.grid, ())
         return f"map {name} saved"

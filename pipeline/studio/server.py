@@ -16,9 +16,9 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
-from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import Button, Control, Input, Layers, Malformed, Speed, parse_message
 from turtlebag.pipeline.studio.pace import Pace
+from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.session_thread import SessionThread
 from turtlebag.pipeline.studio.socket_messages import Frames, bye, hello
 from turtlebag.pipeline.studio.view import View
@@ -43,7 +43,7 @@ WATCHING = "You are watching. Take control to do that."
 class Studio:
     """A session, its viewers, and the one that drives. Lives in the event loop's thread."""
 
-    def __init__(self, session: BaseSession) -> None:
+    def __init__(self, session: Session) -> None:
         self._scene = session.scene
         self._loop = IOLoop.current()
         self.thread = SessionThread(session, self._show)
@@ -207,7 +207,7 @@ def application(studio: Studio, access: Access, page: Path, ping_s: float) -> Ap
 
 
 async def serve(
-    session: BaseSession,
+    session: Session,
     access: Access,
     sockets: Sequence[socket.socket],
     *,

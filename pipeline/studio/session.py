@@ -1,180 +1,113 @@
-"""A session of the simulated robot: inputs in, views out."""
+"""A session: inputs in, views out. It is recorded, so that it can be replayed to the same bytes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.datasets.durations import LONGEST_S, seconds
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import sha256_text
-from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.studio.actions import ACTIONS, map_load
-from turtlebag.pipeline.studio.base_session import BaseSession
-from turtlebag.pipeline.studio.inputs import DRIVING, Drive, Input, Load, Plain, Save
-from turtlebag.pipeline.studio.publisher import Publisher
-from turtlebag.pipeline.studio.run import Run, Shared
-from turtlebag.pipeline.studio.run_log import RunLogWriter
-from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.view import Scene, View
-from turtlebag.pipeline.studio.visuals import Trails
-from turtlebag.sim.robots import static_transforms
-from turtlebag.sim.simulator import Simulator
+from turtlebag.pipeline.studio.actions import act
+from turtlebag.pipeline.studio.inputs import DRIVING, Input, Plain
+from turtlebag.pipeline.studio.journal import FILE, Journal
+from turtlebag.pipeline.studio.playback import Playback
+from turtlebag.pipeline.studio.robot import Robot
+from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup
+from turtlebag.pipeline.studio.view import View
+from turtlebag.pipeline.studio.visuals import EventLog
 
 
-class Session(BaseSession):
-    """It owns a simulator and, while one is recorded, a bag."""
+class Session:
+    """Inputs to a robot, or to a bag that is played: executed, written to the journal and announced.
 
-    def __init__(self, setup: StudioSetup, folder: Path, say: Callable[[str], None]) -> None:
-        """InputError for unknown names and a map that cannot be used."""
-        self.setup, self.scene = setup, Scene.of(setup.arena, setup.spec, setup.seed)
-        super().__init__(setup.header(), folder, say, setup.map_path)
-        publisher, simulator = Publisher(), Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
-        self._shared = Shared(
-            setup=setup,
-            simulator=simulator,
-            library=self._library,
-            run_log=RunLogWriter(folder, simulator, publisher),
-            events=self._events,
-            publisher=publisher,
-            tasks=[],
-            trails=Trails(),
-        )
-        self._run = self._started()
-        self._bag: tuple[str, BagWriter] | None = None
+    A context manager that writes into a folder. No clock, no network, no thread.
+    """
+
+    def __init__(self, setup: StudioSetup | BagSetup, folder: Path, say: Callable[[str], None]) -> None:
+        """`say` is told each line of the event log.
+
+        InputError for unknown names, and for a map or a bag that cannot be used.
+        """
+        self.scene = setup.scene()
+        self._folder = folder
+        self._subject: Robot | Playback
+        self._act: Callable[[Input], str]
+        if isinstance(setup, BagSetup):
+            self._subject = playback = Playback(setup, folder, EventLog(say))
+            self._act = playback.act
+        else:
+            self._subject = robot = Robot(setup, folder, EventLog(say))
+            self._act = partial(act, robot)
+        self._journal = Journal(folder / FILE, setup.header())
+        self.ended = False
+        """Whether it was asked to end."""
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and self._bag is not None:
-            self._bag[1].__exit__(kind)
-        super().__exit__(kind)
-        self._shared.simulator.close()
-
-    def tick(self) -> None:
-        """One control period; nothing once the session is over."""
-        if self.ended:
-            return
-        self._journal.tick(self.stamp_ns, self._run.by_hand)
-        self._run.tick()
-        self._step += 1
-        if seconds(self.stamp_ns) >= LONGEST_S:
-            self.apply(Plain(do="end"))
-
-    def metrics(self) -> dict[str, Any]:
-        """How long it lasted [s], and the metrics of each task."""
-        return {"task": "studio", "time_s": round(seconds(self.stamp_ns), 6), "tasks": self._shared.tasks}
+        if kind is None:
+            self.close()
+        else:
+            self._subject.close(kind)
 
     def close(self) -> None:
         """Finish all files; closing twice is harmless."""
-        super().close()
-        self._shared.run_log.close()
-        self._shared.simulator.close()
+        if not self.ended:
+            self.apply(Plain(do="end"))
+        self._journal.close()
+        self._subject.close()
 
-    def _started(self) -> Run:
-        """A run at the spawn, on the map that was given."""
-        run = Run(self._shared, self._step)
-        if self.setup.map_path is not None:
-            map_load(run, Load(do="map_load"))
-        return run
+    def interrupt(self) -> None:
+        """Break off what takes long; called from another thread."""
+        self._subject.interrupt()
 
-    def _done(self, entry: Input) -> str:
-        if entry.do in DRIVING:
-            asked = Twist(entry.v, entry.w) if isinstance(entry, Drive) else Twist()
-            self._run.by_hand = None if entry.do == "release" else asked
-            return ""
-        if isinstance(entry, Save) and entry.do == "record":
-            return self._record(entry.name)
-        if entry.do == "record_stop":
-            return self._record_stop()
-        if entry.do == "reset":
-            self._finish("ended: reset")
-            self._run = self._started()
-            return "reset: the robot is back at its start"
-        if entry.do == "end":
-            self._finish("ended with the session")
-            return "the session is over"
-        if entry.do not in ACTIONS:
-            raise InputError(f"{entry.do}: no bag is being played; start the studio with --bag BAG")
-        return ACTIONS[entry.do](self._run, entry)
+    def apply(self, entry: Input) -> str:
+        """Do what is asked for at this instant, before the tick; returns a line for the event log.
 
-    def _finish(self, why: str) -> None:
-        self._run.end_task(why)
-        if self._bag is not None:
-            self._run.say(self._record_stop())
+        It stands in the log already, and is empty where there is nothing to tell. InputError, with nothing
+        changed, when that cannot be done.
+        """
+        if self.ended:
+            raise InputError(f"{entry.do}: the session is over")
+        try:
+            line = self._act(entry)
+        except OSError as error:
+            if entry.do == "end":  # nobody can do better
+                raise
+            raise InputError(f"{entry.do}: {error.filename or self._folder}: {error.strerror}") from None
+        self.ended = entry.do == "end"
+        if entry.do not in DRIVING:
+            self._journal.action(self.stamp_ns, entry)
+        if line:
+            self._subject.say(line)
+        return line
 
-    def _record(self, name: str) -> str:
-        if self._bag is not None:
-            raise InputError(f"record: {self._bag[0]} is being recorded; stop it first")
-        setup, publisher, folder = self.setup, self._shared.publisher, self._folder / "bags" / name
-        if folder.exists():
-            raise InputError(f"record: a bag {name} already exists; choose another name")
-        custom = {
-            "seed": str(setup.seed),
-            "config_sha256": sha256_text(config_text(setup.config)),
-            "world": setup.arena.name,
-            "task": "studio",
-        }
-        bag = BagWriter(folder, custom=custom)
-        self._bag, publisher.bag = (name, bag), bag
-        bag.static_transforms(self.stamp_ns, static_transforms(setup.spec))
-        if publisher.grid is not None:
-            bag.map(self.stamp_ns, publisher.grid)
-        if self._run.owner.owner == "teleop":
-            bag.owner(self.stamp_ns, "teleop")
-        return f"recording {name}"
+    def tick(self) -> None:
+        """One control period; nothing once the session is over, or while it is idle."""
+        if self.ended or self.idle:
+            return
+        self._journal.tick(self.stamp_ns, self._subject.by_hand)
+        self._subject.tick()
+        if seconds(self.stamp_ns) >= self._subject.longest_s:
+            self.apply(Plain(do="end"))
 
-    def _record_stop(self) -> str:
-        if self._bag is None:
-            raise InputError("record_stop: nothing is being recorded")
-        name, bag = self._bag
-        self._bag = self._shared.publisher.bag = None
-        bag.close()
-        return f"bag {name} recorded"
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time since the session began [ns]."""
+        return self._subject.stamp_ns
+
+    @property
+    def idle(self) -> bool:
+        """Whether time stands still whatever is asked for: a bag is at its end."""
+        return self._subject.idle
+
+    def metrics(self) -> dict[str, Any]:
+        """How long it lasted [s], and what was done meanwhile."""
+        return {"task": "studio", "time_s": round(seconds(self.stamp_ns), 6), **self._subject.metrics()}
 
     def view(self) -> View:
         """What there is to draw now."""
-        run, shared = self._run, self._shared
-        pilot, look, truth = run.pilot, run.visuals, shared.simulator.truth
-        task, command, trails = pilot.task, run.owner.command, shared.trails
-        sequence = None if task is None else task.sequence
-        goal = None if sequence is None or sequence.goal is None else sequence.waypoint.written
-        return View(
-            stamp_ns=run.stamp_ns,
-            owner=run.owner.owner,
-            command=(command.v, command.w),
-            task="" if task is None else task.kind,
-            state=run.doing,
-            recording=None if self._bag is None else self._bag[0],
-            mapping=pilot.mapping,
-            map_name=None if run.loaded is None else run.loaded.name,
-            maps=shared.library.maps,
-            waypoint_files=shared.library.waypoint_files,
-            loaded_waypoints=run.waypoints,
-            localised=pilot.localised,
-            sure=look.sure(),
-            lost=look.lost(),
-            T_map_base=run.T_map_base,
-            T_odom_base=run.observation.odometry.T_odom_base,
-            T_world_base=truth.T_world_base,
-            goals=look.goals(),
-            goal_index=pilot.goal_index,
-            goal=goal,
-            sectors=look.sectors(),
-            events=shared.events.events,
-            scan=look.scan(),
-            particles=look.particles(),
-            plan=look.plan(shared.publisher.path),
-            local=look.local(run.T_map_base, command),
-            odom_path=trails.odom.path,
-            slam_path=trails.slam.path,
-            true_path=trails.true.path,
-            graph=look.graph(),
-            boxes=run.boxes,
-            keepout=run.keepout,
-            mover_segments=shared.simulator.surroundings.moving.segments,
-            mover_circles=shared.simulator.surroundings.moving.circles,
-            map=look.map(shared.publisher.grid),
-            costmap=look.costmap(),
-        )
+        return self._subject.view()

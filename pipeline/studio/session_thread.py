@@ -14,10 +14,11 @@ from collections.abc import Callable
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio.base_session import BaseSession
 from turtlebag.pipeline.studio.inputs import DRIVING, Button, Drive, Input, Plain, Speed
 from turtlebag.pipeline.studio.pace import Pace, Pacer
+from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.view import View
+from turtlebag.sim.robots import PERIOD_S
 
 HEARTBEAT_S = 0.5
 """Teleop stops the robot if the speed has not been repeated for this long."""
@@ -34,13 +35,13 @@ Refused = Callable[[str], None]
 class SessionThread:
     """The thread. `show` is called in it with each view that `want_view` asked for."""
 
-    def __init__(self, session: BaseSession, show: Callable[[View, Pace], None]) -> None:
+    def __init__(self, session: Session, show: Callable[[View, Pace], None]) -> None:
         self._session, self._show = session, show
         self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="session")
         self._wanted = threading.Event()
         self._over = False
-        self._pacer = Pacer(seconds(session.period_ns))
+        self._pacer = Pacer(PERIOD_S)
         self._view_due = 0.0
         self._drive: Drive | None = None
         self._driven = 0.0

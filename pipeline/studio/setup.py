@@ -14,6 +14,7 @@ from turtlebag.datasets.outputs import sha256_file, sha256_tree
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.studio.journal import BagHeader, Header
 from turtlebag.pipeline.studio.view import Scene
 from turtlebag.sim.robots import RobotSpec, load_robot
@@ -64,6 +65,10 @@ class StudioSetup:
         own = own_files(self.world, self.robot_name)
         return own if self.map_path is None else {**own, **map_files(self.map_path)}
 
+    def scene(self) -> Scene:
+        """The frame of the picture."""
+        return Scene.of(self.arena, self.spec, self.seed)
+
     def header(self) -> Header:
         """What its session file begins with."""
         return Header(
@@ -81,6 +86,8 @@ class BagSetup:
     """A bag or log to be played. InputError, where it is first looked at, when it cannot be mapped."""
 
     bag: Path
+    config: SlamConfig = field(default_factory=SlamConfig)
+    """How the whole bag is mapped."""
 
     @cached_property
     def recording(self) -> Recording:

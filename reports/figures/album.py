@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -68,17 +69,20 @@ class Album:
                 (folder / f"{name}.svg").write_text(standalone(svg))
         return svg
 
-    def add_animation(self, name: str, title: str, caption: str, draw: Callable[[], bytes]) -> None:
-        """Save `name.gif` and carry it in the page."""
+    def add_animation(
+        self, name: str, title: str, caption: str, write: Callable[..., None], *told: Any
+    ) -> None:
+        """Have `write` save `name.gif`, and carry it in the page."""
         name = self.prefix + name
         self.told(title)
         picture = Picture(name, title, caption)
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
-            data = draw()
-            (self.folder / f"{name}.gif").write_bytes(data)
-            gif, still = data_address("gif", data), data_address("png", last_frame(data))
-            picture = Picture(name, title, caption, gif=gif, still=still)
+            path, still = self.folder / f"{name}.gif", io.BytesIO()
+            write(path, *told)
+            last_frame(path).save(still, format="PNG", optimize=True)
+            gif = data_address("gif", path.read_bytes())
+            picture = Picture(name, title, caption, gif=gif, still=data_address("png", still.getvalue()))
         self.pictures.append(picture)
 
 

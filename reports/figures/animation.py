@@ -1,115 +1,125 @@
-"""Small animations, drawn straight into palette images: a map growing, a robot on its way.
+"""Small animations: a map growing, a robot on its way.
 
 Below each picture a strip with the simulated time and a scale bar.
 """
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
+from matplotlib.animation import PillowWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from turtlebag.datasets.deskew import deskewed
-from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.figures import style
-from turtlebag.reports.figures.maps import length_text, scale_length, view_box
+from turtlebag.reports.figures.maps import Box, draw_grid, length_text, scale_length, view_box
 from turtlebag.reports.metrics.navigation import placed_goals, truly_reached
 
-WIDTH_PX, HEIGHT_PX, STRIP_PX = 380, 376, 22
-FRAMES, FRAME_MS, HOLD_MS = 60, 90, 2500
+PICTURE_PX, STRIP_PX, DPI = 380, 22, 100
+FRAMES, FPS, HOLD = 60, 10, 25
+"""The last frame is repeated so often."""
 SCANS = 1000
 """No more than about this many scans are drawn."""
+PATH_POINTS = 2000
 FAN_M = 30.0
 WALL_SHARE = 0.4
 """A cell is a wall when more than this share of the scans that saw it met something there. What happened in
 it less than this often for each hit of a cell beside it does not count: noise is wider than walls."""
-SUPER = 2
-"""Drawn this much larger, then averaged: smooth lines from plain ones."""
-
-UNSEEN, FREE, WALL, INK, BLUE, PURPLE, GREEN, ORANGE, SKY, GREY = range(10)
-GROUNDS = ("#dadfe5", style.PAPER, "#3c444d")
-MARKS = (style.INK, style.SLAM, style.ODOMETRY, style.GOOD, style.BAD, style.TRUTH, "#969ea8")
-COLOURS = tuple(ImageColor.getrgb(colour) for colour in (*GROUNDS, *MARKS))
+UNSEEN, FREE, WALL = range(3)
+GROUNDS = np.array([to_rgb(colour) for colour in (style.GROUND, style.PAPER, "#3c444d")])
 
 
-@dataclass(frozen=True)
-class Canvas:
-    """World metres to pixels of the enlarged frame; `size` is that of the picture above the strip."""
+class Screen:
+    """A figure over a box of the world, with a robot in it, and the strip below."""
 
-    x0: float
-    y1: float
-    scale: float
-    size: tuple[int, int]
-
-    @property
-    def sheet(self) -> tuple[int, int]:
-        """Size with the strip."""
-        return self.size[0], self.size[1] + SUPER * STRIP_PX
-
-    @staticmethod
-    def over(box: tuple[float, float, float, float]) -> Canvas:
-        """A canvas that holds the box (x0, x1, y0, y1) [m]."""
+    def __init__(self, box: Box) -> None:
         width, height = box[1] - box[0], box[3] - box[2]
-        scale = SUPER * min(WIDTH_PX / width, HEIGHT_PX / height)
-        even = [SUPER * max(1, round(extent * scale / SUPER)) for extent in (width, height)]
-        return Canvas(box[0], box[3], scale, (even[0], even[1]))
+        self.scale = PICTURE_PX / max(width, height)
+        """Pixels a metre."""
+        self.box = box
+        self.size = max(1, round(width * self.scale)), max(1, round(height * self.scale))
+        """Width and height of the picture above the strip [pixels]."""
+        whole = self.size[1] + STRIP_PX
+        self.figure = Figure(figsize=(self.size[0] / DPI, whole / DPI))
+        FigureCanvasAgg(self.figure)
+        self.axes = self.figure.add_axes((0.0, STRIP_PX / whole, 1.0, self.size[1] / whole))
+        self.axes.set(xlim=box[:2], ylim=box[2:], xticks=[], yticks=[], facecolor=style.GROUND)
+        self.axes.grid(False)
+        self.axes.spines[:].set_visible(False)
+        self._robot = Polygon(np.zeros((1, 2)), facecolor=style.INK, zorder=6)
+        self.axes.add_patch(self._robot)
+        self._clock = self._strip(whole)
 
-    def pixels(self, xy: Array) -> list[tuple[float, float]]:
-        """Pixel positions of points (n, 2) [m]."""
-        places = np.stack([(xy[:, 0] - self.x0) * self.scale, (self.y1 - xy[:, 1]) * self.scale], axis=1)
-        return [(x, y) for x, y in places.tolist()]
+    def _strip(self, whole: int) -> Any:
+        """The scale bar; returns the text of the clock."""
+        pixel, middle = 1.0 / self.size[0], 0.5 * STRIP_PX / whole
+        length = scale_length(self.box[1] - self.box[0])
+        left, right = 6.0 * pixel, 1.0 - 6.0 * pixel
+        begin, half = right - length * self.scale * pixel, 1.5 / whole
+        told: dict[str, Any] = {"color": style.INK, "fontsize": 9, "va": "center"}
+        low, high = middle - half, middle + half
+        bar = Polygon([(begin, low), (right, low), (right, high), (begin, high)], facecolor=style.INK)
+        bar.set_transform(self.figure.transFigure)
+        self.figure.add_artist(bar)
+        self.figure.text(begin - left, middle, length_text(length), ha="right", **told)
+        return self.figure.text(left, middle, "", **told)
 
-    def blank(self) -> Image.Image:
-        """An enlarged frame of unseen ground, and the empty strip."""
-        image = Image.new("P", self.sheet, UNSEEN)
-        ImageDraw.Draw(image).rectangle((0, self.size[1], *self.sheet), fill=FREE)
-        return image
+    def show(self, T_map_base: SE2, seconds: float) -> None:
+        """The robot is there, a triangle that points where it looks, at that time since the start."""
+        length = 0.03 * self.size[0] / self.scale
+        shape = length * np.array([[1.0, 0.0], [-0.7, 0.6], [-0.4, 0.0], [-0.7, -0.6]])
+        self._robot.set_xy(T_map_base @ shape)
+        self._clock.set_text(f"{seconds:.1f} s")
 
-    def caption(self, draw: ImageDraw.ImageDraw, seconds: float) -> None:
-        """The clock and the scale bar, in the strip."""
-        left, middle = 6 * SUPER, self.size[1] + SUPER * STRIP_PX // 2
-        draw.rectangle((0, self.size[1], *self.sheet), fill=FREE)
-        font = ImageFont.load_default(13 * SUPER)
-        draw.text((left, middle), f"{seconds:.1f} s", fill=INK, font=font, anchor="lm")
-        length = scale_length(self.size[0] / self.scale)
-        right = self.size[0] - left
-        bar = (right - length * self.scale, middle - 2 * SUPER, right, middle + SUPER)
-        draw.rectangle(bar, fill=INK)
-        draw.text((bar[0] - left, middle), length_text(length), fill=INK, font=font, anchor="rm")
+    def write(self, path: Path, draw: Callable[[int], None], count: int) -> None:
+        """A looping GIF of frames evenly over `count` samples, each drawn by its number; the last stays."""
+        writer = PillowWriter(fps=FPS)
+        with style.styled(), writer.saving(self.figure, str(path), DPI):
+            for k in np.linspace(0, count - 1, FRAMES).astype(int).tolist():
+                draw(k)
+                writer.grab_frame()
+            for _ in range(HOLD):
+                writer.grab_frame()
 
 
-def mapping(
-    recording: Recording, slam: Trajectory, odometry: Trajectory | None, grid: OccupancyGrid
-) -> Iterator[Image.Image]:
-    """Frames of a map that grows scan by scan; SLAM's path blue, the odometry's purple."""
-    canvas = Canvas.over(view_box(grid))
-    tally = _Tally(canvas, max(grid.resolution, SUPER / canvas.scale))
-    steps = np.linspace(0, len(recording) - 1, FRAMES).astype(int)
+def write_mapping(
+    path: Path, recording: Recording, slam: Trajectory, odometry: Trajectory | None, grid: OccupancyGrid
+) -> None:
+    """A GIF of a map that grows scan by scan; SLAM's path blue, the odometry's purple."""
+    screen = Screen(view_box(grid))
+    seen = GrowingMap(screen.box, max(grid.resolution, 1.0 / screen.scale))
+    picture = screen.axes.imshow(GROUNDS[seen.shades()], origin="lower", extent=screen.box, aspect="auto")
+    [wheels] = screen.axes.plot([], [], color=style.ODOMETRY, linewidth=1.0)
+    [own] = screen.axes.plot([], [], color=style.SLAM, linewidth=1.4)
     stride = max(2, len(recording) // SCANS)
     done = 0
-    for last in steps:
-        for k in range(done, int(last) + 1, stride):
-            tally.add(recording, k, beams_in_map(recording, slam, k))
-        done = int(last) + 1
-        frame = canvas.blank()
-        frame.paste(tally.picture())
-        draw = ImageDraw.Draw(frame)
+
+    def draw(last: int) -> None:
+        nonlocal done
+        for k in range(done, last + 1, stride):
+            seen.add(recording, k, beams_in_map(recording, slam, k))
+        done = last + 1
+        picture.set_data(GROUNDS[seen.shades()])
         if odometry is not None:
             until = int(np.searchsorted(odometry.stamps_ns, slam.stamps_ns[last], side="right"))
-            _path(draw, canvas, odometry.poses.xy[:until][:: max(1, until // 2000)], PURPLE, 2)
-        _path(draw, canvas, slam.poses.xy[: last + 1], BLUE, 3)
-        _robot(draw, canvas, slam.poses[int(last)])
-        canvas.caption(draw, float(slam.stamps_ns[last] - slam.stamps_ns[0]) * 1e-9)
-        yield frame
+            wheels.set_data(*odometry.poses.xy[:until][:: max(1, until // PATH_POINTS)].T)
+        own.set_data(*slam.poses.xy[: last + 1].T)
+        screen.show(slam.poses[last], float(slam.stamps_ns[last] - slam.stamps_ns[0]) * 1e-9)
+
+    screen.write(path, draw, len(recording))
 
 
 def beams_in_map(recording: Recording, path: Trajectory, k: int) -> tuple[Array, Array]:
@@ -127,169 +137,105 @@ def beams_in_map(recording: Recording, path: Trajectory, k: int) -> tuple[Array,
     return T_map_base @ origins, SE2.from_xyt(0.0, 0.0, T_map_base.yaw) @ directions
 
 
-class _Tally:
-    """How many scans hit each cell of the picture, and how many saw through it."""
+class GrowingMap:
+    """How many scans hit each cell over a box, and how many saw through it; row 0 is lowest."""
 
-    def __init__(self, canvas: Canvas, cell_m: float) -> None:
-        self._picture = canvas.size
-        columns, rows = (max(1, round(extent / (canvas.scale * cell_m))) for extent in canvas.size)
-        self._cells = Canvas(canvas.x0, canvas.y1, columns * canvas.scale / canvas.size[0], (columns, rows))
+    def __init__(self, box: Box, cell_m: float) -> None:
+        self._corner, self._cell_m = np.array([box[0], box[2]]), cell_m
+        columns, rows = (max(1, round((high - low) / cell_m)) for low, high in (box[:2], box[2:]))
         self._hits, self._free = (np.zeros((rows, columns), dtype=np.int32) for _ in range(2))
 
     def add(self, recording: Recording, k: int, beams: tuple[Array, Array]) -> None:
         """Count one scan. A beam is a wedge up to half a cell before its hit; a silent one says nothing."""
-        lidar, cells, (origins, directions) = recording.lidar, self._cells, beams
+        lidar, (origins, directions) = recording.lidar, beams
         hit = lidar.returns(recording.ranges[k])
         ranges = np.where(hit, np.minimum(np.nan_to_num(recording.ranges[k].astype(np.float64)), FAN_M), 0.0)
-        seen = Image.new("1", cells.size)
-        reach = np.maximum(ranges - 0.5 / cells.scale, 0.0)[:, None]
+        rows, columns = self._hits.shape
+        seen = Image.new("1", (columns, rows))
+        reach = np.maximum(ranges - 0.5 * self._cell_m, 0.0)[:, None]
         half = 0.5 * lidar.angle_increment
         edges = [origins + (SE2.from_xyt(0.0, 0.0, turn) @ directions) * reach for turn in (-half, half)]
         fan = np.concatenate([origins[:1], np.stack(edges, axis=1).reshape(-1, 2)])
-        ImageDraw.Draw(seen).polygon(cells.pixels(fan), fill=1)
+        ImageDraw.Draw(seen).polygon(list(map(tuple, self._cells(fan).tolist())), fill=1)
         ends = (origins + directions * ranges[:, None])[hit & (ranges < FAN_M)]
-        column, row = np.floor(np.array(cells.pixels(ends)).reshape(-1, 2).T).astype(np.int64)
-        inside = (column >= 0) & (column < cells.size[0]) & (row >= 0) & (row < cells.size[1])
+        column, row = np.floor(self._cells(ends)).astype(np.int64).T
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         met = np.zeros_like(self._hits, dtype=bool)
         met[row[inside], column[inside]] = True
         self._hits += met
         self._free += np.asarray(seen) & ~met
 
-    def picture(self) -> Image.Image:
-        """The map so far, as large as the picture."""
+    def _cells(self, xy: Array) -> Array:
+        """Column and row of points (n, 2) [m], with fractions."""
+        return (xy - self._corner) / self._cell_m
+
+    def shades(self) -> NDArray[np.uint8]:
+        """The map so far (rows, columns): UNSEEN, FREE or WALL."""
         hits, free = self._hits, self._free
         most = WALL_SHARE * scipy.ndimage.maximum_filter(hits, size=3)
-        shades = np.where(free > most, FREE, UNSEEN)
+        shades = np.where(free > most, FREE, UNSEEN).astype(np.uint8)
         shades[(hits > WALL_SHARE * (hits + free)) & (hits >= most)] = WALL
-        return Image.fromarray(shades.astype(np.uint8), mode="P").resize(
-            self._picture, Image.Resampling.NEAREST
-        )
+        return shades
 
 
-def run(
+def write_run(
+    path: Path,
     grid: OccupancyGrid | None,
     truth: Trajectory,
     goal_index: NDArray[np.int64],
     goals: Sequence[Mapping[str, Any]],
     recording: Recording | None,
     scans_at: Trajectory | None,
-) -> Iterator[Image.Image]:
-    """Frames of a drive: the true path so far, the goal pursued, the scan where `scans_at` puts it."""
-    canvas = Canvas.over(view_box(grid, [truth]))
-    ground = _ground(canvas, grid)
-    for row in np.linspace(0, len(truth) - 1, FRAMES).astype(int):
-        frame = ground.copy()
-        draw = ImageDraw.Draw(frame)
-        _path(draw, canvas, truth.poses.xy[: row + 1][::5], SKY, 7)
+) -> None:
+    """A GIF of a drive: the true path so far, the goal pursued, the scan where `scans_at` puts it."""
+    screen = Screen(view_box(grid, [truth]))
+    if grid is None:
+        screen.axes.set_facecolor(style.PAPER)
+    else:
+        draw_grid(screen.axes, grid)
+    places = list(placed_goals(goals))
+    radius = 0.04 * screen.size[0] * 72 / DPI
+    marks = [screen.axes.plot(x, y, "o", markersize=radius, zorder=4, mew=0)[0] for _, x, y, _ in places]
+    [driven] = screen.axes.plot([], [], color=style.TRUTH, linewidth=3.0)
+    [scan] = screen.axes.plot([], [], "s", color=style.GOOD, markersize=1.3, mew=0, zorder=5)
+
+    def draw(row: int) -> None:
+        driven.set_data(*truth.poses.xy[: row + 1][::5].T)
         if recording is not None and scans_at is not None:
-            _scan(draw, canvas, recording, scans_at, int(truth.stamps_ns[row]))
+            scan.set_data(*_scan_ends(recording, scans_at, int(truth.stamps_ns[row])).T)
         so_far = int(goal_index[: row + 1].max())
         pursued = int(goal_index[row]) if row < len(truth) - 1 else -1
-        for number, x, y, goal in placed_goals(goals):
-            colour = _goal_colour(number - 1, pursued, so_far, truly_reached(goal))
-            [place] = canvas.pixels(np.array([[x, y]]))
-            draw.circle(place, 0.02 * canvas.size[0], fill=colour)
-        _robot(draw, canvas, truth.poses[int(row)])
-        canvas.caption(draw, float(truth.stamps_ns[row] - truth.stamps_ns[0]) * 1e-9)
-        yield frame
+        for mark, (number, _, _, goal) in zip(marks, places, strict=True):
+            mark.set_color(_goal_colour(number - 1, pursued, so_far, truly_reached(goal)))
+        screen.show(truth.poses[row], float(truth.stamps_ns[row] - truth.stamps_ns[0]) * 1e-9)
+
+    screen.write(path, draw, len(truth))
 
 
-def _goal_colour(number: int, pursued: int, so_far: int, reached: bool) -> int:
+def _goal_colour(number: int, pursued: int, so_far: int, reached: bool) -> str:
     """Blue while it is pursued, then green, or orange when the robot was not there; grey before."""
     if number == pursued:
-        return BLUE
+        return style.SLAM
     if number > so_far:
-        return GREY
-    return GREEN if reached else ORANGE
+        return "#969ea8"
+    return style.GOOD if reached else style.BAD
 
 
-def _ground(canvas: Canvas, grid: OccupancyGrid | None) -> Image.Image:
-    """The map in the canvas: each pixel takes the cell under it."""
-    if grid is None:
-        return Image.new("P", canvas.sheet, FREE)
-    columns, rows = canvas.size
-    x = canvas.x0 + (np.arange(columns) + 0.5) / canvas.scale
-    y = canvas.y1 - (np.arange(rows) + 0.5) / canvas.scale
-    points = np.stack(np.meshgrid(x, y), axis=-1)
-    values = grid.value_at(points)
-    shades = np.where(values == UNKNOWN, UNSEEN, FREE)
-    shades[values >= OCCUPIED_FROM] = WALL
-    frame = canvas.blank()
-    frame.paste(Image.fromarray(shades.astype(np.uint8), mode="P"))
-    return frame
-
-
-def _scan(
-    draw: ImageDraw.ImageDraw, canvas: Canvas, recording: Recording, scans_at: Trajectory, stamp_ns: int
-) -> None:
-    """Hits of the newest whole scan, placed by the poses in `scans_at` of the same stamps."""
+def _scan_ends(recording: Recording, scans_at: Trajectory, stamp_ns: int) -> Array:
+    """Hits (n, 2) of the newest whole scan, placed by the poses in `scans_at` of the same stamps."""
     k = int(np.searchsorted(recording.stamps_ns, stamp_ns, side="right")) - 2
     pose = int(np.searchsorted(scans_at.stamps_ns, recording.stamps_ns[max(k, 0)]))
     if k < 0 or pose >= len(scans_at) or scans_at.stamps_ns[pose] != recording.stamps_ns[k]:
-        return
+        return np.zeros((0, 2))
     scan = recording.scan(k)
     origins, directions = beams_in_map(recording, scans_at, pose)
     hit = scan.valid()
-    for x, y in canvas.pixels(origins[hit] + directions[hit] * scan.ranges[hit, None]):
-        draw.rectangle((x - 1, y - 1, x + 2, y + 2), fill=GREEN)
+    ends: Array = origins[hit] + directions[hit] * scan.ranges[hit, None]
+    return ends
 
 
-def _path(draw: ImageDraw.ImageDraw, canvas: Canvas, xy: Array, colour: int, width: int) -> None:
-    if len(xy) > 1:
-        draw.line(canvas.pixels(xy), fill=colour, width=width, joint="curve")
-
-
-def _robot(draw: ImageDraw.ImageDraw, canvas: Canvas, T_map_base: SE2) -> None:
-    """A triangle that points where the robot looks."""
-    length = 0.03 * canvas.size[0] / canvas.scale
-    shape = length * np.array([[1.0, 0.0], [-0.7, 0.6], [-0.4, 0.0], [-0.7, -0.6]])
-    draw.polygon(canvas.pixels(T_map_base @ shape), fill=INK)
-
-
-def gif(frames: Iterator[Image.Image]) -> bytes:
-    """The frames, reduced to their final size, as a looping GIF; the last one stays longer."""
-    reduced = [_reduce(frame) for frame in frames]
-    shared = _shared_palette()
-    flat = [frame.quantize(palette=shared, dither=Image.Dither.NONE) for frame in reduced]
-    durations = [FRAME_MS] * (len(flat) - 1) + [HOLD_MS]
-    buffer = io.BytesIO()
-    flat[0].save(
-        buffer,
-        format="GIF",
-        save_all=True,
-        append_images=flat[1:],
-        duration=durations,
-        loop=0,
-        optimize=False,
-        disposal=1,
-    )
-    return buffer.getvalue()
-
-
-def _reduce(frame: Image.Image) -> Image.Image:
-    frame.putpalette([part for colour in COLOURS for part in colour])
-    return frame.convert("RGB").reduce(SUPER)
-
-
-def _shared_palette() -> Image.Image:
-    """The colours and their blends with the three grounds, the same for every animation."""
-    parts = np.array(COLOURS, dtype=np.float64)
-    blends = [
-        tuple(np.round(share * one + (1.0 - share) * parts[ground]).astype(int))
-        for one in parts
-        for ground in (UNSEEN, FREE, WALL)
-        for share in (0.75, 0.5, 0.25)
-    ]
-    colours = list(dict.fromkeys([*COLOURS, *blends]))
-    image = Image.new("P", (1, 1))
-    image.putpalette([int(part) for colour in colours for part in colour])
-    return image
-
-
-def last_frame(data: bytes) -> bytes:
-    """The last frame of a GIF as PNG, for print and for readers who want no motion."""
-    with Image.open(io.BytesIO(data)) as image:
+def last_frame(path: Path) -> Image.Image:
+    """The last frame of a GIF, for print and for readers who want no motion."""
+    with Image.open(path) as image:
         image.seek(getattr(image, "n_frames", 1) - 1)
-        buffer = io.BytesIO()
-        image.convert("RGB").save(buffer, format="PNG", optimize=True)
-    return buffer.getvalue()
+        return image.convert("RGB")

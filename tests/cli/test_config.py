@@ -107,7 +107,6 @@ def test_a_wrong_file_names_itself(tmp_path, text, message):
         (NavigateConfig, "relocalise.tell_apart=9", "relocalise.tell_apart: is now called disambiguate"),
         (SlamConfig, "loops.inflation=9", "loops.inflation: is now called covariance_scale"),
         (SlamConfig, "recall.enabled=false", "recall: is now called place_recognition"),
-        (SlamConfig, "posing.enabled=false", "posing: is now called reregistration"),
     ],
 )
 def test_a_former_key_names_the_present_one(model, old, new):

@@ -9,7 +9,6 @@ from scipy import ndimage
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import SNAP_M, Costmap, clearance_field, nearest_free
-from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.obstacle_layer import (
     NEVER,
@@ -213,16 +212,6 @@ def test_a_goal_beyond_the_rim_is_made_for_by_the_shortest_way():
         assert layer.stands_in(SE2.from_xyt(x, y, 0.0)) == beyond
     near = SE2.from_xyt(1.0, 1.0, 0.0)
     assert layer.aim(SE2.identity(), near, radius) is near
-
-
-def test_a_robot_too_near_everything_has_no_aim():
-    layer = window(side=5.0, centre=(0.0, 0.0))
-    for off, says in ((0.45, "too close to an obstacle"),):
-        x, y = np.meshgrid(np.arange(-1.0, 1.0, RES), np.arange(-1.0, 1.0, RES))
-        near = np.column_stack([x.ravel(), y.ravel()]) + 0.05
-        layer.update(0.0, SE2.from_xyt(2.0, 2.0, 0.0), near, np.zeros((0, 2)))
-        with pytest.raises(NoPath, match=says):
-            layer.aim(SE2.identity(), SE2.from_xyt(9.0, 0.0, 0.0), off)
 
 
 def half_seen(seed):

@@ -12,7 +12,6 @@ from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.global_plan import (
     DiscSearch,
-    NoPath,
     PlanConfig,
     blocked_until,
     cell_padded,
@@ -167,12 +166,6 @@ def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_
         clear = costmap.clearance_at(densify(plan.poses.xy.copy(), 0.01)).min()
         assert (clear > wide + 0.09) == (not narrow)
         assert plan.length == pytest.approx(path_length(plan.poses.xy))
-    lethal = lethal.copy()
-    lethal[44:57, 14:27] = True
-    lethal[49:52, 19:22] = False
-    walled = Costmap(lethal, RES, SE2.identity())
-    with pytest.raises(NoPath, match="the robot is too close to an obstacle"):
-        plan_path(walled, BURGER, start, goal, PlanConfig(), 1)
 
 
 def test_ompl_searches_the_box_of_the_floor_and_so_many_calls():

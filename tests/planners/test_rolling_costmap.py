@@ -9,7 +9,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.rolling_costmap import RollingLayer
 
@@ -74,16 +73,6 @@ def test_a_goal_beyond_the_window_is_made_for_round_a_wall():
     assert not layer.stands_in(aim)
     near = SE2.from_xyt(3.0, 0.0, 0.0)
     assert layer.aim(pose, near, 0.3) is near
-
-
-def test_no_way_out_of_a_ring_of_obstacles_is_said_so():
-    layer = window()
-    angles = np.linspace(0.0, 2.0 * np.pi, 400)
-    ring = 1.5 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for k in range(3):
-        see(layer, 0.1 * k, 0.0, ring)
-    with pytest.raises(NoPath, match="no path"):
-        layer.aim(SE2.identity(), SE2.from_xyt(9.0, 0.0, 0.0), 0.2)
 
 
 def test_the_grid_distance_finds_dijkstras_lengths_up_to_its_limit():

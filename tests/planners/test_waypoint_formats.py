@@ -5,7 +5,6 @@ import math
 import pytest
 import yaml
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.planners.tasks.waypoints import load_waypoints, parse_waypoint, parse_waypoints
 
 HALF = math.sqrt(0.5)
@@ -66,12 +65,6 @@ def test_what_ros2_topic_echo_prints_is_read(tmp_path):
     assert [tuple(waypoint.T_map_goal.xyt) for waypoint in found] == [pytest.approx(p) for p in PLACES]
     path.write_text(f"{yaml.safe_dump(stamped(*PLACES[0]))}---\n")
     assert load_waypoints(path).waypoints[0].T_map_goal.xyt == pytest.approx(PLACES[0])
-    path.write_text("- [1, 2]\n---\na: [\n---\n")
-    with pytest.raises(InputError, match=r"echo\.yaml, line 3: not valid YAML"):
-        load_waypoints(path)
-    path.write_text("---\n" * 20_000)
-    with pytest.raises(InputError, match=r"echo\.yaml: more than 10000 documents"):
-        load_waypoints(path)
 
 
 def test_numbered_waypoints_go_by_their_numbers_and_named_ones_by_their_lines():
@@ -92,39 +85,8 @@ def test_nav2s_panel_has_w_first_and_messages_have_it_last():
         assert math.remainder(parse_waypoint(entry).written[2] - yaw, 2.0 * math.pi) == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize(
-    ("entry", "reason"),
-    [
-        (stamped(1.0, 2.0, 0.0, frame="odom"), "its frame is odom, not map"),
-        ({"frame_id": "body", "x": 1, "y": 2}, "its frame is body, not map"),
-        ({"pose": [1, 2, 0]}, "orientation: expected [w, x, y, z]"),
-        ({"pose": [1, 2], "orientation": [1, 0, 0, 0]}, "pose: expected [x, y, z]"),
-        ({"pose": 3}, "pose: expected [x, y, z]"),
-        ({"pose": {"position": {"x": 1}}}, "y is missing"),
-        ({"position": "here"}, "position: expected x, y and z"),
-        ({"position": {"x": 1, "y": 2}, "orientation": {"w": 1}}, "orientation: expected x, y, z and w"),
-        ({"position": {"x": 1, "y": 2}, "orientation": [1, 2]}, "invalid quaternion: expected [x, y, z, w]"),
-        ({**message(1.0, 2.0, 0.0), "speed": 1.0}, "unknown key speed"),
-        ({"x": "1_0", "y": 2}, "x is not a finite number"),
-    ],
-)
-def test_a_pose_that_is_not_understood_says_why(entry, reason):
-    found = parse_waypoint(entry)
-    assert found.T_map_goal is None
-    assert reason in found.reason
-
-
-def test_a_pose_in_itself_ends():
-    entry = yaml.safe_load("&a {pose: *a}")
-    assert parse_waypoint(entry).reason.startswith("pose: expected")
-
-
-def test_a_route_in_another_order_or_frame_is_told():
+def test_a_route_in_another_order_is_told():
     route = {"mode": "random", "poses": POSES}
     assert parse_waypoints(route, "file").notes == (
         "file: mode random: the poses are visited in the file's order",
     )
-    with pytest.raises(InputError, match="file: its frame is odom, not map"):
-        parse_waypoints({"header": {"frame_id": "odom"}, "poses": POSES}, "file")
-    with pytest.raises(InputError, match=r"file: unknown key pause \(known: frame_id, header, keepout, mode"):
-        parse_waypoints({"pause": 1, "poses": POSES}, "file")

@@ -10,19 +10,18 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.help_text import options
-from tests.helpers.help_text import shown as shown_help
 from tests.helpers.report_fakes import fake_record, unrendered
 from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.recipe import command_of, recipe, rename
 from turtlebag.pipeline.stages.report import make_report
-from turtlebag.reports.compare import command_of
-from turtlebag.reports.content import collision_count, verdict
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.kinds import verdict
 from turtlebag.reports.metric_specs import SECTIONS
 from turtlebag.reports.numbers import sections_of, shown
-from turtlebag.reports.provenance import FLAGS, TAKE_A_PATH, recipe, rename
 from turtlebag.reports.stages import Group, Input, Manifest, Stage, changed_files, load_stage
+from turtlebag.reports.verdicts import collision_count
 
 
 @pytest.fixture(scope="module")
@@ -258,17 +257,13 @@ PLACES = ("FILE", "DIR", "MAP", "BAG", "MAP_DIR", "INPUT")
 
 
 def test_every_option_that_takes_a_path_is_known_to_the_recipe():
-    for verb in ("record", "teleop", "studio", "map", "localise", "navigate", "plan"):
-        values = options(verb)
-        paths = {
-            name
-            for name, value in values.items()
-            if value in ("FILE", "DIR", "MAP", "BAG", "MAP_DIR", "INPUT")
-        }
-        assert {"--config", "--out"} <= paths <= set(TAKE_A_PATH), verb
-        if "positional arguments" in shown_help(verb):
-            flags = {name for name, value in values.items() if not value}
-            assert {"--force"} <= flags - {"-h", "--help"} <= set(FLAGS), verb
+    for verb in ("record", "teleop", "map", "localise", "navigate", "plan"):
+        places = {name for name, value in options(verb).items() if value in PLACES}
+        assert {"--config", "--out"} <= places, verb
+        for words in ([name, "a/b"] for name in places - {"--out"}):
+            command = ["turtlebag", verb, *words, "=".join(words), "--out", "a"]
+            made = Stage(Path("a"), verb, "x", Manifest(stage=verb, command=command))
+            assert recipe([Group("w", (made,))])[0].command.count("w/x/b") == 2, words
 
 
 def test_collisions_count_both_kinds_and_plain_numbers():

@@ -1,34 +1,31 @@
 """Animations: sizes, frames, and scans put where the robot was at each beam."""
 
-import io
-
 import numpy as np
 import pytest
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from tests.helpers.report_fakes import mapped_room
-from turtlebag.datasets.grid import FREE as FREE_CELL
-from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.reports.figures.animation import (
+    FPS,
     FRAMES,
     FREE,
+    HOLD,
     STRIP_PX,
-    SUPER,
     UNSEEN,
     WALL,
-    Canvas,
+    GrowingMap,
+    Screen,
     beams_in_map,
-    gif,
     last_frame,
-    mapping,
-    run,
+    write_mapping,
+    write_run,
 )
 from turtlebag.reports.figures.maps import length_text, scale_length, view_box
 
-GREEN, BAD_RGB, PALE = (0, 158, 115), (213, 94, 0), (156, 203, 238)
+GREEN, ORANGE, PALE, INK = (0, 158, 115), (213, 94, 0), (156, 203, 238), (28, 32, 36)
 LIDAR = LidarSpec(90, 0.0, 2 * np.pi / 90, 0.12, 3.5, time_increment=0.2 / 90)
 
 
@@ -41,31 +38,55 @@ def drive():
     return path, Recording("fake", stamps, ranges, LIDAR, SE2.identity())
 
 
+def near(image, colour):
+    """Which pixels of an image have a colour, but for what a palette takes away."""
+    return np.abs(np.asarray(image.convert("RGB")).astype(int) - colour).max(axis=2) <= 6
+
+
+def frames(path):
+    """The frames of a GIF, and the time that all of them take [s]."""
+    with Image.open(path) as image:
+        found, spent_ms = [], 0
+        for k in range(image.n_frames):
+            image.seek(k)
+            found.append(image.convert("RGB"))
+            spent_ms += image.info["duration"]
+    return found, spent_ms / 1000
+
+
 @pytest.mark.slow
-def test_an_animation_is_small_has_its_frames_and_repeats_byte_for_byte(drive):
+def test_an_animation_is_small_has_its_frames_and_repeats_byte_for_byte(drive, tmp_path):
     path, recording = drive
-    first, again = (gif(mapping(recording, path, path, mapped_room())) for _ in range(2))
-    assert first == again
-    assert len(first) < 500_000
-    with Image.open(io.BytesIO(first)) as image:
-        assert image.n_frames > FRAMES // 2  # frames that show nothing new are merged
-        assert max(image.size) <= 400
+    one, again = tmp_path / "one.gif", tmp_path / "again.gif"
+    for file in (one, again):
+        write_mapping(file, recording, path, path, mapped_room())
+    assert one.read_bytes() == again.read_bytes()
+    assert len(one.read_bytes()) < 500_000
+    found, spent_s = frames(one)
+    assert len(found) > FRAMES // 2  # frames that show nothing new are merged
+    assert spent_s == pytest.approx((FRAMES + HOLD) / FPS)
+    assert max(found[0].size) <= 380 + STRIP_PX
+    clocks = [np.asarray(image)[-STRIP_PX:, : image.width // 3] for image in (found[0], found[-1])]
+    assert all((clock != clock[0, 0]).any() for clock in clocks)
+    assert (clocks[0] != clocks[1]).any()
 
 
 @pytest.mark.slow
-def test_the_last_frame_shows_the_whole_drive(drive):
+def test_the_last_frame_shows_the_whole_drive(drive, tmp_path):
     path, recording = drive
     goals = [{"x": 1.0, "y": 1.0, "status": "reached"}, {"x": -1.0, "y": 1.0, "status": "timeout"}]
     index = np.repeat([0, 1], 20)
-    data = last_frame(gif(run(mapped_room(), path, index, goals, recording, path)))
-    with Image.open(io.BytesIO(data)) as image:
-        colours = {colour for _, colour in image.convert("RGB").getcolors(100_000)}
-    assert {GREEN, BAD_RGB, PALE} <= colours
+    write_run(tmp_path / "run.gif", mapped_room(), path, index, goals, recording, path)
+    last, screen = last_frame(tmp_path / "run.gif"), Screen(view_box(mapped_room(), [path]))
+    for (x, y), colour in (((1.0, 1.0), GREEN), ((-1.0, 1.0), ORANGE), ((0.0, -1.5), PALE)):
+        row, column = round((screen.box[3] - y) * screen.scale), round((x - screen.box[0]) * screen.scale)
+        assert near(last, colour)[row - 1 : row + 2, column - 1 : column + 2].any(), colour
 
 
-def test_a_run_without_map_scans_or_goals_still_moves(drive):
+def test_a_run_without_map_scans_or_goals_still_moves(drive, tmp_path):
     path, _ = drive
-    assert len(gif(run(None, path, np.full(40, -1), [], None, None))) > 1000
+    write_run(tmp_path / "run.gif", None, path, np.full(40, -1), [], None, None)
+    assert len(frames(tmp_path / "run.gif")[0]) > 10
 
 
 def test_beams_of_a_turning_lidar_are_put_where_the_robot_was(drive):
@@ -90,35 +111,24 @@ def test_a_map_that_grows_shows_thin_walls_and_nothing_behind_them(fov):
     rng = stream(1, "animation")
     ranges = (true + 0.02 * rng.standard_normal(true.shape)).astype(np.float32)
     ranges[rng.random(true.shape) < 0.1] = np.inf
-    cells = np.full((84, 84), OCCUPIED, dtype=np.int8)
-    cells[2:-2, 2:-2] = FREE_CELL
-    grid = OccupancyGrid(cells, 0.05, SE2.from_xyt(-2.1, -2.1, 0.0))
-    *_, last = mapping(Recording("fake", stamps, ranges, lidar, SE2.identity()), path, None, grid)
-    canvas = Canvas.over(view_box(grid))
-    shown = np.asarray(last)[: canvas.size[1]]
-    x = canvas.x0 + (np.arange(canvas.size[0]) + 0.5) / canvas.scale
-    y = canvas.y1 - (np.arange(canvas.size[1]) + 0.5) / canvas.scale
-    out = np.maximum(np.abs(x)[None, :], np.abs(y)[:, None])
+    recording = Recording("fake", stamps, ranges, lidar, SE2.identity())
+    growing = GrowingMap((-2.375, 2.375, -2.375, 2.375), 0.05)  # walls are in the middle of a cell
+    for k in range(0, n, 2):
+        growing.add(recording, k, beams_in_map(recording, path, k))
+    shown = growing.shades()
+    middle = -2.375 + 0.05 * (np.arange(95) + 0.5)
+    out = np.maximum(np.abs(middle)[None, :], np.abs(middle)[:, None])
     assert np.all(shown[out > 2.1] == UNSEEN)
     assert np.mean(shown[(out > 0.3) & (out < 1.9)] == FREE) > 0.99
-    walls = np.mean(shown == WALL) * shown.size / canvas.scale**2
+    walls = np.sum(shown == WALL) * 0.05**2
     assert 0.9 < walls / (16.0 * 0.05) < 1.4  # one cell thick, all around
 
 
-def test_a_clock_below_the_picture_tells_the_simulated_time(drive):
-    path, recording = drive
-    first, *_, last = mapping(recording, path, path, mapped_room())
-    clocks = [np.asarray(frame)[-SUPER * STRIP_PX :, : frame.width // 3] for frame in (first, last)]
-    assert all((clock != clock[0, 0]).any() for clock in clocks)
-    assert (clocks[0] != clocks[1]).any()
-
-
-def test_the_scale_bar_is_as_long_as_it_says():
-    canvas = Canvas.over((-3.0, 3.0, -2.0, 2.0))
-    image = canvas.blank()
-    canvas.caption(ImageDraw.Draw(image), 1.5)
-    row = np.asarray(image)[canvas.size[1] + SUPER * STRIP_PX // 2]
-    dark = np.flatnonzero(row == 3)
-    bar = dark[dark > dark.max() - 1.05 * canvas.scale]
+def test_the_scale_bar_is_as_long_as_it_says(tmp_path):
+    screen = Screen((-3.0, 3.0, -2.0, 2.0))
+    screen.write(tmp_path / "still.gif", lambda k: screen.show(SE2.identity(), 1.5), 1)
+    row = near(last_frame(tmp_path / "still.gif"), INK)[-STRIP_PX // 2]
+    dark = np.flatnonzero(row)
+    bar = dark[dark > dark.max() - 1.05 * screen.scale]
     assert length_text(scale_length(6.0)) == "1 m"
-    assert len(bar) == pytest.approx(canvas.scale, abs=2)
+    assert len(bar) == pytest.approx(screen.scale, abs=2)

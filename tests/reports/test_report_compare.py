@@ -36,7 +36,7 @@ def test_only_what_differs_is_called_different(tree):
     assert found.settings == [("front.sigma", "0.005", "0.02")]
     assert "map.pgm" in found.same_bytes
     assert "trajectory.tum" in found.changed
-    rows = {row.path: row for row in found.rows}
+    rows = {row.spec.path: row for row in found.rows}
     assert rows["scans"].difference == "="
     assert rows["ate_m.rmse"].mood == "bad"
     assert rows["ate_m.rmse"].difference.startswith("+")
@@ -44,7 +44,7 @@ def test_only_what_differs_is_called_different(tree):
 
 
 def test_the_other_way_round_bad_becomes_good(tree):
-    rows = {row.path: row for row in compare_outputs(tree / "b", tree / "a").rows}
+    rows = {row.spec.path: row for row in compare_outputs(tree / "b", tree / "a").rows}
     assert rows["ate_m.rmse"].mood == "good"
     assert rows["ate_m.rmse"].difference.startswith("\u2212")
 
@@ -124,8 +124,10 @@ def test_walls_of_both_maps_are_in_the_picture_however_far_apart(turned):
 def test_a_comparison_says_how_both_were_made_and_whether_of_the_same_recording(tmp_path):
     record = fake_record(tmp_path / "record")
     a, b = fake_map(tmp_path / "a", record), fake_map(tmp_path / "b", record, sigma_m=0.01)
-    found = compare_outputs(a, b)
-    assert found.commands == ("turtlebag map record --out A", "turtlebag map record --out B")
+    with undrawn():
+        found = compare_outputs(a, b, Output(tmp_path / "out"))
+    page = (tmp_path / "out/index.html").read_text()
+    assert "A: turtlebag map record --out A\nB: turtlebag map record --out B" in page
     assert found.same_source is True
     assert compare_outputs(record, record).same_source is None
 

@@ -12,8 +12,8 @@ from tests.helpers.report_fakes import fake_map, fake_record, fake_run, undrawn
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_index, make_report
-from turtlebag.reports.content import stage_metrics
 from turtlebag.reports.index import COLUMNS, index_lines, shown_outputs, used_columns
+from turtlebag.reports.kinds import stage_metrics
 from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.numbers import shown
 from turtlebag.reports.stages import load_stage

@@ -9,8 +9,8 @@ from tests.helpers.report_fakes import fake_map, fake_record, fake_run, undrawn,
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.compare import compare_outputs
 from turtlebag.pipeline.stages.report import make_index, make_report
-from turtlebag.reports.content import verdict
 from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.kinds import verdict
 from turtlebag.reports.metrics.navigation import outcome
 from turtlebag.reports.stages import Manifest, Stage, load_stage
 

@@ -5,7 +5,7 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.graph.drift import ANYWHERE, HONEST, drift_of, reach, read_at
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.loops.consistency import consistency
 
 SIGMA = np.array([0.02, 0.03, 0.01])
@@ -22,7 +22,7 @@ def there_and_back(n: int = 41) -> SE2:
 def steps_of(T: SE2, sigma=SIGMA) -> list[Constraint]:
     told = HONEST * np.diag(np.asarray(sigma) ** -2.0)
     moves = T.steps()
-    return [Constraint(k, k + 1, move, told, "step") for k, move in enumerate(moves)]
+    return [Constraint(k, k + 1, move, told, Kind.STEP) for k, move in enumerate(moves)]
 
 
 def driven(T: SE2, n: int) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_a_loop_ends_the_drift_and_a_break_makes_it_anything():
     assert alone[:-1].min() > 0.0
     assert (np.diff(alone[20:]) < 0.0).all()
     assert drift.ways([])(40) == pytest.approx(drift.along(np.full(41, 40), np.arange(41)))
-    loop = Constraint(0, 40, (T[0].inverse() @ T[40]).xyt, np.diag([1e6, 1e6, 1e6]), "loop")
+    loop = Constraint(0, 40, (T[0].inverse() @ T[40]).xyt, np.diag([1e6, 1e6, 1e6]), Kind.LOOP)
     closed, _ = reach(read_at(drift.ways([loop])(40), T.xyt[40]))
     assert closed[0] < 0.01
     assert (closed <= alone + 1e-9).all()

@@ -9,7 +9,7 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import explain
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 
 KEYS = np.array([0, 4, 9, 15])
@@ -31,7 +31,7 @@ def made():
             j,
             (POSES[i].inverse() @ POSES[j] @ SE2.from_xyt(-shift, 0.0, 0.0)).xyt,
             np.diag([100.0, 1, 1]),
-            "step",
+            Kind.STEP,
         )
         for i, j, shift in edges
     ]
@@ -71,7 +71,11 @@ def test_candidates_are_told_with_what_is_left_of_them_and_breaks_with_what_beca
 def test_the_worst_edges_and_places_come_first_and_the_graph_s_moves_are_measured():
     result = made()
     edges = worst_edges(result.T_map_keys, result.constraints)
-    assert [(e["i"], e["j"], e["kind"]) for e in edges] == [(1, 2, "step"), (2, 3, "step"), (0, 1, "step")]
+    assert [(e["i"], e["j"], e["kind"]) for e in edges] == [
+        (1, 2, "step"),
+        (2, 3, "step"),
+        (0, 1, "step"),
+    ]
     assert [e["sigmas"] for e in edges] == pytest.approx([3.0, 2.0, 1.0])
     assert worst_edges(result.T_map_keys, result.constraints, 2) == edges[:2]
     places = explain.contradicting_places(result, 2)

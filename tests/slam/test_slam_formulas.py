@@ -13,12 +13,11 @@ from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.check.selfcheck import contradicted_keys, hypothesis_shares, revisits_of
 from turtlebag.pipeline.slam.explain import candidate
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, optimise, write_g2o
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
-from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track
-from turtlebag.pipeline.slam.reregistration import carried_poses
+from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track, carried_poses
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs, partner_radius
 from turtlebag.pipeline.slam.scans.parts import joined_clouds
@@ -53,7 +52,7 @@ def test_a_track_is_appended_where_it_lies_and_its_scans_are_numbered_on():
     assert joined_track(a, track(5, [0, 3], 2, odometry=False), T).odometry_steps is None
     T_map_keys, T_map_b = SE2(random_poses(3, 3)), SE2.from_xyt(1.0, 2.0, 3.0)
     border = border_constraint(a, T_map_keys, T_map_b, b)
-    assert (border.i, border.j, border.kind) == (2, 3, "loop")
+    assert (border.i, border.j, border.kind) == (2, 3, Kind.BORDER)
     np.testing.assert_allclose(border.T_i_j, (T_map_keys[2].inverse() @ T_map_b @ b.T_track_base[0]).xyt)
     np.testing.assert_array_equal(border.information, np.diag([25.0, 25.0, 100.0]))
 
@@ -130,7 +129,7 @@ def test_passes_farther_apart_than_four_metres_are_laid_together_where_the_lidar
     off = SE2(truth.xyt + np.where(np.arange(len(truth)) < n, 0.0, 0.1)[:, None] * [1.0, 0.5, 0.0])
     steps = [
         Constraint(
-            k, k + 1, between(off.xyt[k], off.xyt[k + 1]), np.eye(3) * (1e4 if k + 1 != n else 1.0), "step"
+            k, k + 1, between(off.xyt[k], off.xyt[k + 1]), np.eye(3) * (1e4 if k + 1 != n else 1.0), Kind.STEP
         )
         for k in range(len(off) - 1)
     ]
@@ -168,7 +167,7 @@ def test_residuals_in_standard_deviations_and_the_graph_as_text(tmp_path):
         a = rng.normal(size=(3, 3))
         off, information = rng.normal(0.0, 0.1, 3), a @ a.T
         T = poses[i].inverse() @ poses[j] @ SE2(off).inverse()
-        constraints.append(Constraint(i, j, T.xyt, information, "pair"))
+        constraints.append(Constraint(i, j, T.xyt, information, Kind.PAIR))
         expected.append(off @ information @ off)
     np.testing.assert_allclose(mahalanobis(poses, constraints), expected, rtol=1e-6)
     assert mahalanobis(poses, []).shape == (0,)
@@ -182,7 +181,7 @@ def test_residuals_in_standard_deviations_and_the_graph_as_text(tmp_path):
         wanted = [*c.T_i_j, *c.information[np.triu_indices(3)]]
         np.testing.assert_allclose(np.array(line[3:], dtype=float), wanted, rtol=1e-7)
     exact = [
-        Constraint(i, j, (poses[i].inverse() @ poses[j]).xyt, np.eye(3), "step")
+        Constraint(i, j, (poses[i].inverse() @ poses[j]).xyt, np.eye(3), Kind.STEP)
         for i, j in ((0, 1), (1, 2), (2, 3))
     ]
     start = poses.xyt.copy()

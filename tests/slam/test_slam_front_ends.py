@@ -58,7 +58,6 @@ def test_every_front_end_maps_with_every_loop_matcher(log, front_end, match):
 def test_libraries_alone_map_and_give_the_same_bits_again(log):
     alone = {
         "refine": {"rounds": 0},
-        "reregistration": {"enabled": False},
         "tracking": {"calibration": False},
     }
     first, again = (run_slam(log, settings("kiss_icp", "open3d", **alone)) for _ in range(2))

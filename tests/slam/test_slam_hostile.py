@@ -16,7 +16,7 @@ from tests.helpers.made_logs import office as made_office
 from tests.helpers.slam_rooms import recording, rectangle
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.check.selfcheck import contradicted_keys
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.graph.refinement import refine
 from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam, step_constraints
@@ -182,7 +182,7 @@ def false_loops(kind: str, n: int, sure: Constraint) -> list[Constraint]:
     else:
         pairs, poses = [(5 + k, n // 2 + k) for k in range(8)], np.zeros((8, 3))
     return [
-        Constraint(i, j, T, sure.information, "loop", sure.cauchy)
+        Constraint(i, j, T, sure.information, Kind.LOOP, sure.cauchy)
         for (i, j), T in zip(pairs, poses, strict=True)
     ]
 
@@ -237,7 +237,7 @@ def with_gnc(start: SE2, constraints: list[Constraint]) -> SE2:
         factors.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise))
     parameters = gtsam.GncLMParams()
     parameters.setLossType(gtsam.GncLossType.TLS)
-    parameters.setKnownInliers([0, *(k for k, c in enumerate(constraints, start=1) if c.kind != "loop")])
+    parameters.setKnownInliers([0, *(k for k, c in enumerate(constraints, start=1) if c.kind != Kind.LOOP)])
     optimizer = gtsam.GncLMOptimizer(factors, values, parameters)
     optimizer.setInlierCostThresholdsAtProbability(0.99)
     found = optimizer.optimize()

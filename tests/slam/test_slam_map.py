@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, optimise
 from turtlebag.pipeline.slam.grid import (
     Counts,
@@ -228,9 +228,9 @@ def test_graph_spreads_a_square_s_error_and_shrugs_off_a_false_loop():
     rough = [np.zeros(3)]
     for k in range(4):
         rough.append((SE2(rough[-1]) @ SE2(leg + np.array([0.02, 0.0, 0.01 * k]))).xyt)
-    graph = [Constraint(k, k + 1, leg, information, "step") for k in range(4)]
-    loop = Constraint(0, 4, np.zeros(3), information, "loop", 2.0)
-    false = Constraint(1, 3, np.array([3.0, 3.0, 1.0]), information, "loop", 2.0)
+    graph = [Constraint(k, k + 1, leg, information, Kind.STEP) for k in range(4)]
+    loop = Constraint(0, 4, np.zeros(3), information, Kind.LOOP, 2.0)
+    false = Constraint(1, 3, np.array([3.0, 3.0, 1.0]), information, Kind.LOOP, 2.0)
     poses = optimise(SE2.from_array(np.array(rough)), [*graph, loop, false])
     np.testing.assert_allclose(poses.xyt[2, :2], [1.0, 1.0], atol=0.02)
     np.testing.assert_allclose(poses.xyt[4, :2], [0.0, 0.0], atol=0.02)

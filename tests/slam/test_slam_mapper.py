@@ -9,7 +9,7 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Trajectory
 from turtlebag.pipeline.slam.graph.drift import HONEST
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.isam2 import GrowingGraph, joined, without
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.loops.by_distance import LoopConfig, step_lengths
@@ -125,7 +125,7 @@ def chain(n, rng):
     for k in range(n - 1):
         root = rng.normal(size=(3, 3))
         step = np.array([0.3, 0.02, 0.1]) + 0.05 * rng.normal(size=3)
-        constraints.append(Constraint(k, k + 1, step, root @ root.T * 400.0 + 50.0 * np.eye(3), "step"))
+        constraints.append(Constraint(k, k + 1, step, root @ root.T * 400.0 + 50.0 * np.eye(3), Kind.STEP))
     return constraints
 
 
@@ -153,7 +153,7 @@ def test_a_graph_without_some_keys_puts_the_others_where_the_whole_one_does(gone
         start.append((SE2(start[-1]) @ SE2(c.T_i_j)).xyt)
     T = SE2(np.array(start))
     off = (T[2].inverse() @ T[10]) @ SE2.from_xyt(0.03, -0.05, 0.02)
-    loop = Constraint(2, 10, off.xyt, 300.0 * np.eye(3), "loop")
+    loop = Constraint(2, 10, off.xyt, 300.0 * np.eye(3), Kind.LOOP)
     whole = optimise(T, [*steps, loop])
     stays = ~np.isin(np.arange(n), gone)
     less = without([*steps, loop], stays, whole.xyt)
@@ -172,7 +172,7 @@ def test_the_growing_graph_ends_where_the_batch_does():
     poses, T = np.array(start), SE2(np.array(start))
     loops = [
         Constraint(
-            j, i, (T[j].inverse() @ T[i] @ SE2.from_xyt(0.02, 0.03, 0.01)).xyt, 200.0 * np.eye(3), "loop"
+            j, i, (T[j].inverse() @ T[i] @ SE2.from_xyt(0.02, 0.03, 0.01)).xyt, 200.0 * np.eye(3), Kind.LOOP
         )
         for j, i in ((0, 12), (3, 18), (1, 29))
     ]
@@ -251,7 +251,7 @@ def growing_loops(n, information):
     loops = GrowingLoops(clouds, TRUE[0], LoopConfig(every=4))
     for k, step in enumerate(SE2(TRUE[:n]).steps()):
         scans = KeyScans(clouds, every[: k + 2])
-        loops.add_key(scans, step, [Constraint(0, 1, step, information, "step")])
+        loops.add_key(scans, step, [Constraint(0, 1, step, information, Kind.STEP)])
     return loops, clouds
 
 

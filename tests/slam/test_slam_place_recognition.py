@@ -14,7 +14,7 @@ from tests.helpers.made_logs import WHEELS, interval, office_plan, without
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between
 from turtlebag.pipeline.slam.graph.drift import HONEST, drift_of
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.loops.by_appearance import (
     PlaceRecognitionConfig,
     accepted_sets,
@@ -172,7 +172,7 @@ def test_places_that_agree_outvote_the_aliases():
     n = 40
     poses = np.column_stack([np.arange(n) * 1.0, np.zeros(n), np.zeros(n)])
     broken = np.arange(n - 1) == 19
-    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), STEP, "step") for k in range(n - 1)]
+    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), STEP, Kind.STEP) for k in range(n - 1)]
     # the second half truly runs beside the first, 3 m shifted; aliases say 7 m, and one says a turn
     true = [place(i, i - 20, (3.0, 0.0, 0.0)) for i in (22, 26, 30)]
     alias = [place(i, i - 20, (7.0, 0.0, 0.0)) for i in (24, 28)]
@@ -203,7 +203,7 @@ def test_a_place_is_looked_for_near_where_the_track_has_it():
     """Along a line, each metre known to two: on older places that the drift allows, as far off as it is."""
     poses = np.column_stack([np.arange(60.0), np.zeros(60), np.zeros(60)])
     vague = np.diag([0.25, 0.25, 1e8])
-    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), vague, "step") for k in range(59)]
+    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), vague, Kind.STEP) for k in range(59)]
     drift = drift_of(poses, steps, np.zeros(59, dtype=bool))
     searches = dict(submap_searches(drift, [], range(0, 60, 4), 10.0))
     assert len(searches) > 4
@@ -226,7 +226,7 @@ def test_what_looks_alike_is_a_place_where_the_drift_allows_it_and_there_are_wal
     drifted = truth + np.linspace(0.0, 5.0, 120)[:, None] * [1.0, 0.0, 0.0]
     information = np.diag([sigma_m**-2, sigma_m**-2, 1e8]) * HONEST
     moves = SE2(drifted).steps()
-    steps = [Constraint(k, k + 1, move, information, "step") for k, move in enumerate(moves)]
+    steps = [Constraint(k, k + 1, move, information, Kind.STEP) for k, move in enumerate(moves)]
     no, gaps = np.zeros(119, dtype=bool), np.zeros((0, 2), dtype=np.int64)
     closing = LoopClosing(LoopConfig(reach_m=1.0))
     made = recognise_places(
@@ -267,7 +267,7 @@ def test_a_place_passed_again_and_again_is_looked_for_once():
     for laps in (1, 5):
         poses = around_the_room(60 * laps, laps=laps)
         moves = (SE2(poses[:-1]).inverse() @ SE2(poses[1:])).xyt
-        steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
+        steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), Kind.STEP) for k, move in enumerate(moves)]
         broken = np.arange(len(moves)) == 9
         searches = submap_searches(drift_of(poses, steps, broken), [], windows(len(poses), broken), 3.0)
         looked_at.append({middle for i, off in searches for middle in (i, *off)})
@@ -284,7 +284,7 @@ def test_a_place_is_believed_where_visits_violate_free_space_little_more_than_us
     violations = SimpleNamespace(usual=lambda: usual, with_stretch=lambda stretch: laid)
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
     broken = np.arange(19) == 9
-    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), "step") for k in range(19)]
+    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), Kind.STEP) for k in range(19)]
     found = [Loop(i, i - 10, np.zeros(3), 1.0, 0.9, 0.01, 1e6 * np.eye(3)) for i in (12, 14, 16)]
     drift = drift_of(poses, steps, broken)
     believed, record = accepted_sets(found, drift, violations, PlaceRecognitionConfig(), LoopConfig())

@@ -10,7 +10,7 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, reco
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.slam.check.selfcheck import check_map, slides
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph
+from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Kind
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
@@ -38,17 +38,17 @@ def drive() -> tuple[Recording, Clouds, Track]:
 def held(T_keys, sigma):
     """Steps from key to key, known to so many metres and radians."""
     steps = T_keys.steps()
-    return [Constraint(k, k + 1, step, np.eye(3) / sigma**2, "step") for k, step in enumerate(steps)]
+    return [Constraint(k, k + 1, step, np.eye(3) / sigma**2, Kind.STEP) for k, step in enumerate(steps)]
 
 
 def checked(log, clouds, track, T_keys, constraints, breaks=NONE, borders=NONE, certainty=SURE):
     """The check of a map whose log is broken before some key scans, and begins anew at others."""
     no = np.zeros(len(T_keys) - 1, dtype=bool)
     torn = TrackBreaks(no, np.isin(track.keys[1:], breaks), no, np.zeros((0, 2), dtype=np.int64))
-    joined = [replace(c, kind="loop") if track.keys[c.j] in borders else c for c in constraints]
+    joined = [replace(c, kind=Kind.BORDER) if track.keys[c.j] in borders else c for c in constraints]
     graph = Graph(T_keys, joined, [], [], ~no)
     session = Session(log, lambda: clouds, None, None, track, torn, graph, RangeCalibration())
-    return check_map(session, track.T_track_base, track.overlap, OdometryNoise(), certainty)
+    return check_map(session, track.T_track_base, OdometryNoise(), certainty)
 
 
 def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, step_sigma=1e-4, **changes):
@@ -233,6 +233,6 @@ def test_places_seen_again_hold_a_stretch_that_nobody_saw(drive):
     steps = step_constraints(track, TrackingConfig(), distrusted(log, track, noise, NONE))
     ends = [(0, k) for k in range(2, len(T_keys))]
     loops = [
-        Constraint(i, j, (T_keys[i].inverse() @ T_keys[j]).xyt, 1e5 * np.eye(3), "loop") for i, j in ends
+        Constraint(i, j, (T_keys[i].inverse() @ T_keys[j]).xyt, 1e5 * np.eye(3), Kind.LOOP) for i, j in ends
     ]
     assert checked(log, clouds, track, T_keys, [*steps, *loops]).reasons == ()

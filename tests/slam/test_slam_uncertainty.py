@@ -10,7 +10,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.check import uncertainty as map_uncertainty
 from turtlebag.pipeline.slam.check.uncertainty import ASKED, shared_errors
 from turtlebag.pipeline.slam.graph.drift import HONEST
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import noise_model
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import Track
@@ -39,7 +39,7 @@ def round_trip(n=30, radius=8.0, closed=False, sigmas=(0.02, 0.01, 0.01)):
     T = SE2(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), angle + 0.5 * np.pi]))
     ends = [(k, k + 1) for k in range(n - 1)] + ([(0, n - 1)] if closed else [])
     information = np.diag(np.square(sigmas) ** -1.0)
-    return T, [Constraint(i, j, (T[i].inverse() @ T[j]).xyt, information, "step") for i, j in ends]
+    return T, [Constraint(i, j, (T[i].inverse() @ T[j]).xyt, information, Kind.STEP) for i, j in ends]
 
 
 def drawn_by_gtsam(T, constraints, rng, maps=4000):
@@ -107,7 +107,7 @@ def test_wheels_whose_size_is_open_leave_the_size_of_what_they_alone_measured_op
     T, constraints = round_trip(200, closed=closed, sigmas=(1e-4, 1e-4, 1e-4))
     wheels = np.diag([0.02, 1e-9, 1e-9]) ** 2
     by_wheels = [
-        replace(c, kind="odometry") if c.kind == "step" and c.j == c.i + 1 else c for c in constraints
+        replace(c, kind=Kind.WHEELS) if c.kind == "step" and c.j == c.i + 1 else c for c in constraints
     ]
     # the circle of 8 m is 2 % larger or smaller
     assert position_sigmas(T, by_wheels, wheels)[1] == pytest.approx(np.full(50, 0.16), rel=0.03)
@@ -117,7 +117,7 @@ def test_wheels_whose_size_is_open_leave_the_size_of_what_they_alone_measured_op
 
 def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
     T, constraints = round_trip(60, sigmas=(1e-7, 1e-7, 1e-7))
-    by_wheels = [replace(c, kind="odometry") for c in constraints]
+    by_wheels = [replace(c, kind=Kind.WHEELS) for c in constraints]
     sd = 1e-3 * np.array([1.0, 0.4, 0.2])
     asked, found = position_sigmas(T, by_wheels, np.diag(sd**2))
     steps, covariance = np.array([c.T_i_j for c in constraints]), np.zeros((len(T), 2, 2))
@@ -137,7 +137,7 @@ def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
 
 def test_the_way_that_nobody_saw_before_a_log_s_end_may_be_off_by_itself():
     T, constraints = round_trip(10)
-    steady = [replace(c, kind="steady") for c in constraints]
+    steady = [replace(c, kind=Kind.STEADY) for c in constraints]
     unseen = np.where(np.arange(10) >= 7, 0.3, 0.0)
     [(of, errors)] = shared_errors(track_of(T, Calibration()), steady, unseen)
     assert of.tolist() == [6, 7, 8]

@@ -12,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Cloud
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, run_slam_3d
 from turtlebag.reports.metrics.trajectory import ate
@@ -78,7 +78,7 @@ def test_a_place_that_drift_has_carried_out_of_reach_is_recognised_by_its_looks(
     carried[41:] = se3.exp(np.array([0.0, 0.0, 0.5, 3.0, 2.0, 0.0])) @ T[41:]
     known = [1e6 if k != 40 else 0.02 for k in range(len(T) - 1)]
     steps = [
-        Constraint(k, k + 1, se3.inverse(carried[k]) @ carried[k + 1], weight * np.eye(6), "step")
+        Constraint(k, k + 1, se3.inverse(carried[k]) @ carried[k + 1], weight * np.eye(6), Kind.STEP)
         for k, weight in enumerate(known)
     ]
     finder, recognised = close_loops(track.places, carried, steps, mapped.setup.voxel, Loop3dConfig(every=4))

@@ -9,7 +9,7 @@ from tests.helpers.full_disks import files_below
 from turtlebag.datasets import se3
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import optimise, residuals, write_g2o
 from turtlebag.pipeline.slam.scans.open3d_loader import open3d
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished, save_ply
@@ -188,15 +188,15 @@ def ring(n=12):
     for _ in range(n - 1):
         poses.append(poses[-1] @ step)
     T = np.array(poses)
-    edges = [Constraint(k, k + 1, step, np.diag([1e4] * 3 + [1e3] * 3), "step") for k in range(n - 1)]
-    loop = Constraint(0, n - 1, se3.inverse(T[0]) @ T[-1], 1e4 * np.eye(6), "loop", cauchy=2.0)
+    edges = [Constraint(k, k + 1, step, np.diag([1e4] * 3 + [1e3] * 3), Kind.STEP) for k in range(n - 1)]
+    loop = Constraint(0, n - 1, se3.inverse(T[0]) @ T[-1], 1e4 * np.eye(6), Kind.LOOP, cauchy=2.0)
     return T, [*edges, loop]
 
 
 def test_the_graph_undoes_drift_and_shrugs_off_a_false_loop():
     T, edges = ring()
     drifted = T @ se3.exp(0.03 * RNG.normal(size=(len(T), 6)) * (np.arange(len(T)) > 0)[:, None])
-    false = Constraint(2, 8, np.eye(4), 1e4 * np.eye(6), "loop", cauchy=2.0)
+    false = Constraint(2, 8, np.eye(4), 1e4 * np.eye(6), Kind.LOOP, cauchy=2.0)
     found = optimise(drifted, [*edges, false])
     assert np.linalg.norm((found - T)[:, :3, 3], axis=1).max() < 0.05
     assert np.abs(residuals(T, edges)).max() < 1e-9

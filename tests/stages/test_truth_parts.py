@@ -26,7 +26,7 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 
-OFF = {"loops": {"enabled": False}, "refine": {"rounds": 0}, "reregistration": {"enabled": False}}
+OFF = {"loops": {"enabled": False}, "refine": {"rounds": 0}}
 TRUE = "turtlebag.testing:True"
 
 
@@ -83,7 +83,7 @@ def test_a_map_with_a_true_part_names_it_and_needs_the_truth(tmp_path, capsys):
     world = ["--world", "turtlebot3_world", "--teleop", str(teleop)]
     assert main(["record", *world, "--out", str(record), "-q"]) == 0
     words = ["map", str(record), "--set", f"front_end={TRUE}FrontEnd", "--out", str(out), "-q"]
-    words += ["--set", "refine.rounds=0", "--set", "reregistration.enabled=false"]
+    words += ["--set", "refine.rounds=0"]
     capsys.readouterr()
     assert main(words) == 2
     assert "TrueFrontEnd: the truth is not known here; use it in map with" in capsys.readouterr().err

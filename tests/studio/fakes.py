@@ -62,7 +62,6 @@ class FakeSession:
     """Goes at the speed that is asked for, without any simulator; goals are refused."""
 
     scene = SCENE
-    period_ns = PERIOD_NS
     idle = False
 
     def __init__(self, tick_s=0.0, cells=None):

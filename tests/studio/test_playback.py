@@ -13,7 +13,7 @@ from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.playback import Playback
+from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup
 
 
@@ -24,13 +24,13 @@ def bag(tmp_path_factory):
 
 @pytest.fixture
 def played(bag, tmp_path):
-    with Playback(BagSetup(bag), tmp_path, lambda line: None) as one:
+    with Session(BagSetup(bag), tmp_path, lambda line: None) as one:
         yield one
 
 
 @pytest.fixture
 def with_loops(bag, tmp_path):
-    with Playback(BagSetup(bag), tmp_path, lambda line: None, WITH_LOOPS) as one:
+    with Session(BagSetup(bag, WITH_LOOPS), tmp_path, lambda line: None) as one:
         yield one
 
 
@@ -50,8 +50,6 @@ def test_time_passes_scan_by_scan_and_seeking_goes_anywhere(played):
     played.apply(inputs.Seek(t=1.0))
     assert played.view().bag.position_s == 1.0
     assert played.stamp_ns * 1e-9 == pytest.approx(2.05, abs=0.05)
-    with pytest.raises(InputError, match=r"seek: the bag ends after 29.8 s"):
-        played.apply(inputs.Seek(t=31.0))
 
 
 def test_time_stands_still_at_the_end(played):
@@ -62,18 +60,6 @@ def test_time_stands_still_at_the_end(played):
     assert played.stamp_ns * 1e-9 < 0.5
     played.apply(inputs.Seek(t=0.0))
     assert not played.idle
-
-
-def test_a_bag_has_no_robot_to_drive(played):
-    for entry in (
-        inputs.At(do="goal", pose=(0, 0, 0)),
-        inputs.Save(do="record", name="a"),
-        inputs.Drive(v=0.1),
-    ):
-        with pytest.raises(InputError, match="while a bag is played"):
-            played.apply(entry)
-    with pytest.raises(InputError, match="map the bag first"):
-        played.apply(inputs.Scans(do="loop_show", scan=LAST, place=0))
 
 
 @pytest.mark.slow
@@ -167,8 +153,6 @@ def test_a_loop_that_is_added_wrongly_is_told_to_be_not_believed(played):
     assert "not joined" in played.view().events[-2].text
     played.apply(inputs.Scans(do="loop_reject", scan=LAST, place=LAST // 3))
     assert played.view().bag.edits == ()
-    with pytest.raises(InputError, match="has no scan 999"):
-        played.apply(inputs.Scans(do="loop_reject", scan=999, place=0))
 
 
 @pytest.mark.slow

@@ -97,47 +97,6 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
     assert [action.do for _, action in load_session(tmp_path / "session.yaml").actions] == ["map_start"]
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("- 3\n", "expected keys and values"),
-        (HEAD.replace("version: 1", "version: 2"), "version"),
-        (HEAD + "colour: red\n", "colour: unknown key"),
-        (HEAD + "inputs: 3\n", "inputs: expected a list"),
-        (HEAD + "inputs:\n- 3\n", "input 1: expected keys and values"),
-        (HEAD + "inputs:\n- {at: -1, do: avoid}\n", "input 1: at: must be 0 to"),
-        (HEAD + "inputs:\n- {at: .nan, do: avoid}\n", "input 1: at: must be 0 to"),
-        (HEAD + "inputs:\n- {at: 1, do: dance}\n", "input 1: 'dance' is not an input"),
-        (HEAD + "inputs:\n- {at: 1, do: drive, v: 1}\n", "input 1: drive: write it as an interval"),
-        (HEAD + "inputs:\n- {at: 1, do: goal, pose: [0, 0]}\n", "input 1: goal: pose.2"),
-        (
-            HEAD + "inputs:\n- {at: 2, do: avoid}\n- {at: 1, do: cancel}\n",
-            "input 2: at 1 s, before the previous",
-        ),
-        (HEAD + "inputs:\n- {at: 2, do: end}\n- {at: 3, do: avoid}\n", "input 2: comes after"),
-        (HEAD + "inputs:\n- {begin: 2, end: 1}\n", "input 1"),
-        (HEAD + "inputs:\n- {begin: 2, end: 1.0e+8}\n", "input 1: end: must be less than"),
-        (HEAD + "inputs:\n- {begin: 0, end: 2}\n- {begin: 1, end: 3}\n", "overlap"),
-        (HEAD + "inputs:\n- {begin: 0, end: 1, u: 3}\n", "u: unknown key"),
-        (HEAD.replace("empty", "nowhere"), "unknown world 'nowhere'"),
-        (HEAD.replace("burger", "bulldozer"), "bulldozer"),
-        (HEAD + "map: nowhere.yaml\n", "nowhere.yaml"),
-        (HEAD + "sha256: {map: abc}\n", "has changed since the session"),
-        (
-            HEAD + "inputs:\n- {at: 0.2, do: patrol, waypoints: [{pose: [0, 0, 0]}]}\n",
-            "at 0.2 s: patrol: needs a map",
-        ),
-    ],
-)
-def test_a_session_that_cannot_be_driven_is_refused_in_a_line_with_nothing_written(tmp_path, text, said):
-    (tmp_path / "session.yaml").write_text(text)
-    with pytest.raises(InputError) as error:
-        replay(tmp_path / "session.yaml", Output(tmp_path / "out"), say=silent)
-    assert said in str(error.value)
-    assert "\n" not in str(error.value)
-    assert [path.name for path in tmp_path.iterdir()] == ["session.yaml"]
-
-
 def test_settings_come_back_as_they_were_given(tmp_path):
     """Also those that were set to what they are anyway: some count as given only then."""
     given = {

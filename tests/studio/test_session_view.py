@@ -11,6 +11,7 @@ from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import CostLayer, MapLayer
 from turtlebag.pipeline.studio.visuals import MOST_EVENTS, MOST_POINTS, EventLog, Trail
 from turtlebag.planners.costmap import Costmap
+from turtlebag.sim.worlds import load_world
 
 
 def line(count, start=0):
@@ -97,7 +98,7 @@ def test_layers_lie_where_the_robot_is(tmp_path):
     """The scan on the walls of the true map, the costmap of a goal without a map about the robot."""
     with at_the_studio(tmp_path / "live") as person:
         person.wait(1.0)
-        view, true = person.view, person.session.setup.arena.rasterize(0.172)
+        view, true = person.view, load_world("turtlebot3_world").rasterize(0.172)
         rows, cols = true.cell_of(view.scan).T
         near = [
             true.cells[r - 1 : r + 2, c - 1 : c + 2].max() == 100 for r, c in zip(rows, cols, strict=True)

@@ -9,8 +9,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 from tornado.iostream import IOStream
 
 from tests.studio.fakes import FakeSession, Served, connect, run
-from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio.access import Access, is_loopback, listen
+from turtlebag.pipeline.studio.access import Access, is_loopback
 
 
 @pytest.fixture(scope="module")
@@ -166,18 +165,6 @@ def test_hosts_that_are_listened_at():
     assert [is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "10.0.0.1", "pi")] == [
         True, True, True, False, False, False,
     ]  # fmt: skip
-
-
-def test_a_port_or_host_that_cannot_be_had_is_one_line():
-    (taken,) = listen("127.0.0.1", 0)
-    port = taken.getsockname()[1]
-    with pytest.raises(InputError, match=f"^--port {port}: in use"):
-        listen("127.0.0.1", port)
-    taken.close()
-    with pytest.raises(InputError, match=r"^--host 192\.0\.2\.1: .*; give an address of this machine$"):
-        listen("192.0.2.1", 0)
-    with pytest.raises(InputError, match=r"^--host no such host"):
-        listen("no such host", 0)
 
 
 def test_a_token_is_long_and_new(served):

@@ -9,7 +9,7 @@ from tests.studio.page import click, drag, on_screen, open_page, shown_text, unt
 from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.graph.edits import load_edits
-from turtlebag.pipeline.studio.playback import Playback
+from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup
 
 pytestmark = [
@@ -24,7 +24,7 @@ pytestmark = [
 @pytest.fixture
 def playback(tmp_path):
     bag = write_bag(tmp_path / "bag")
-    with Playback(BagSetup(bag), tmp_path, lambda line: None, WITH_LOOPS) as playback:
+    with Session(BagSetup(bag, WITH_LOOPS), tmp_path, lambda line: None) as playback:
         yield playback
 
 

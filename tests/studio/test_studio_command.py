@@ -3,7 +3,6 @@
 import io
 import re
 import signal
-import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -180,33 +179,6 @@ def test_without_a_screen_no_browser_is_opened_and_the_first_free_folder_is_take
     assert opened == []
     assert (tmp_path / "data/studio/maze_1-waffle_pi-4-3/manifest.json").exists()
     assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--port", "{port}"], "--port {port}: in use; choose another, or leave it out for a free one"),
-        (["--port", "70000"], "must be a port from 1 to 65535"),
-        (["--host", "192.0.2.1"], "--host 192.0.2.1: "),
-        (["--world", "nowhere"], "nowhere"),
-        (["--map", "no.yaml"], "no.yaml"),
-        (["--set", "sim.wheels=9"], "sim.wheels"),
-        (["--replay", "session.yaml"], "--replay: needs --out DIR"),
-        (["--replay", "session.yaml", "--out", "x", "--seed", "0"], "--seed: cannot be used with --replay"),
-        (["--replay", "session.yaml", "--out", "x", "--set", "sim.a=1"], "--set: cannot be used with"),
-        (["--replay", "session.yaml", "--out", "x"], "session.yaml: "),
-    ],
-)
-def test_what_cannot_be_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys, options, said):
-    monkeypatch.chdir(tmp_path)
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        code = main(["studio", "--no-browser", *(option.format(port=port) for option in options)])
-    out, err = capsys.readouterr()
-    assert (code, out) == (2, "")
-    assert said.format(port=port) in err
-    assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_session_that_cannot_go_on_is_kept_beside_the_first_free_folder(tmp_path, monkeypatch, capsys):

@@ -7,7 +7,7 @@ Lost scans: poses constrained by neither walls nor odometry. Impossible motions:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -53,13 +53,11 @@ class SelfCheck(Verdict):
     reasons: tuple[str, ...]
 
 
-def check_map(
-    session: Session, T_map_base: SE2, overlap: Array, noise: OdometryNoise, certainty: Certainty
-) -> SelfCheck:
-    """Check a finished map: poses of all scans (n,), and the final `overlap` (n,) of each with the map.
-    `noise` is that assumed for the odometry; `certainty` is the grid's."""
+def check_map(session: Session, T_map_base: SE2, noise: OdometryNoise, certainty: Certainty) -> SelfCheck:
+    """Check a finished map with these poses of all scans (n,). `noise` is that assumed for the odometry,
+    `certainty` is the grid's."""
     recording, borders, breaks = session.recording, session.borders, session.unconfirmed
-    track, T_map_keys = replace(session.track, overlap=overlap), session.graph.T_map_keys
+    track, T_map_keys = session.track, session.graph.T_map_keys
     pairs = revisits_of(T_map_keys)
     share = free_space_violations(session.clouds(), track.keys, T_map_keys.xyt, pairs)
     known = np.isfinite(share)

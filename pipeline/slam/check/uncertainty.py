@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.graph.drift import covariances, plane_motions
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis
 from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.clouds import way_and_turn
@@ -80,11 +80,11 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved: A
     (`unobserved` [m] of each scan's step (n,)), the distance along both axes of the robot: a constant
     velocity was assumed, and is as wrong as it would be elsewhere in this log over as many scans.
     """
-    odometry = [k for k, c in enumerate(constraints) if c.kind == "odometry"]
+    odometry = [k for k, c in enumerate(constraints) if c.kind is Kind.WHEELS]
     if odometry:
         effects = track.calibration.effects(np.array([constraints[k].T_i_j for k in odometry]))
         yield np.array(odometry), effects @ np.linalg.cholesky(track.calibration.covariance)
-    motions = {c.i: k for k, c in enumerate(constraints) if c.kind in ("steady", "odometry")}
+    motions = {c.i: k for k, c in enumerate(constraints) if c.kind in (Kind.STEADY, Kind.WHEELS)}
     way = np.diff(np.cumsum(unobserved)[track.keys])
     stretches = np.flatnonzero(np.diff(np.concatenate([[0.0], way > 0.0, [0.0]])))
     for begin, end in stretches.reshape(-1, 2).tolist():

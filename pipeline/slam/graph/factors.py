@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 
-Kind = Literal["step", "odometry", "steady", "loop", "pair"]
+
+class Kind(enum.StrEnum):
+    """What a constraint comes from; its value is the word in files."""
+
+    STEP = "step"
+    """The scans of two successive keys."""
+    WHEELS = "odometry"
+    """The calibrated odometry between two successive keys."""
+    STEADY = "steady"
+    """A motion that neither scans nor wheels observed: constant velocity, with little weight."""
+    LOOP = "loop"
+    """A place seen again."""
+    PAIR = "pair"
+    """Two keys that see the same, by the joint refinement."""
+    BORDER = "border"
+    """The last key of a recording and the first of the next."""
+
+
+ALONG_THE_LOG = frozenset({Kind.STEP, Kind.WHEELS, Kind.STEADY})
+"""Kinds of constraints between successive keys of one recording."""
 
 
 @dataclass(frozen=True, eq=False)

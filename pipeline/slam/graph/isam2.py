@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import HELD, WEAK, noise_model
 
 # Poses that move farther than this are relinearised [m, rad].
@@ -60,19 +60,19 @@ def without(
     """
     number = np.cumsum(stays) - 1
     before = np.maximum.accumulate(np.where(stays, np.arange(len(stays)), 0))
-    chained: dict[tuple[int, str], Constraint] = {}
+    chained: dict[tuple[int, Kind], Constraint] = {}
     for c in constraints:
-        if c.kind == "loop":
+        if c.kind is Kind.LOOP:
             continue
         i = int(before[c.i])
         whole = c if c.i == i else joined(chained[i, c.kind], c)
         chained[i, c.kind] = whole
-    kept: dict[tuple[int, int, str], Constraint] = {}
+    kept: dict[tuple[int, int, Kind], Constraint] = {}
     for (i, kind), c in chained.items():
         if stays[c.j]:
             kept[i, c.j, kind] = c
     for c in constraints:
-        if c.kind != "loop":
+        if c.kind is not Kind.LOOP:
             continue
         i, j = int(before[c.i]), int(before[c.j])
         if i == j:

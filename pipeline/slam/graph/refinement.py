@@ -17,7 +17,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
 from turtlebag.pipeline.slam.graph.edits import NO_EDITS, KeyEdits
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import GTSAM, Poses, optimise
 from turtlebag.pipeline.slam.scans.align import (
     CAUCHY,
@@ -97,7 +97,7 @@ def pair_constraints(
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
     relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, limits)
     return [
-        Constraint(int(i), int(j), relative[k], information[k] / STEP_COVARIANCE_SCALE, "pair", CAUCHY)
+        Constraint(int(i), int(j), relative[k], information[k] / STEP_COVARIANCE_SCALE, Kind.PAIR, CAUCHY)
         for k, (i, j) in enumerate(pairs)
         if overlap[k] >= LEAST_OVERLAP
     ]

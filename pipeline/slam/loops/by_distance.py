@@ -23,7 +23,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
 from turtlebag.pipeline.slam.graph.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.graph.edits import NO_EDITS, KeyEdits
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.pose_graph import GTSAM
 from turtlebag.pipeline.slam.loops.acceptance import loop_verdict
 from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
@@ -70,7 +70,7 @@ class LoopConfig(Settings):
     def constraint(self, place: Loop) -> Constraint:
         """The constraint of a revisited place in the graph."""
         information = place.information / self.covariance_scale
-        return Constraint(place.j, place.i, place.T_j_i, information, "loop", CAUCHY)
+        return Constraint(place.j, place.i, place.T_j_i, information, Kind.LOOP, CAUCHY)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.odometry.line_icp import STEADY_SHARE
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.scans.align import CAUCHY, STEP_COVARIANCE_SCALE
@@ -28,13 +28,13 @@ def step_constraints(
     constraints = []
     for k, step in enumerate(matched):
         seen = track.information[track.keys[k + 1]] / STEP_COVARIANCE_SCALE
-        constraints.append(Constraint(k, k + 1, step, seen, "step"))
+        constraints.append(Constraint(k, k + 1, step, seen, Kind.STEP))
         if track.odometry_steps is None or so_far[k + 1] > so_far[k]:
             # the front end assumed a constant velocity there; without any constraint the graph falls apart
             steady = STEADY_SHARE * config.odometry.information(step)
-            constraints.append(Constraint(k, k + 1, step, steady, "steady"))
+            constraints.append(Constraint(k, k + 1, step, steady, Kind.STEADY))
         else:
             odometry = track.odometry_steps[k]
             information = track.calibration.information(odometry)
-            constraints.append(Constraint(k, k + 1, odometry, information, "odometry", CAUCHY))
+            constraints.append(Constraint(k, k + 1, odometry, information, Kind.WHEELS, CAUCHY))
     return constraints

@@ -1,6 +1,6 @@
 // A played bag: its time, its loops, and their descriptions.
 
-import { byId, put } from "./panel.js";
+import { byId, put } from "./elements.js";
 import { scene } from "./scene.js";
 import { toScreen } from "./view.js";
 

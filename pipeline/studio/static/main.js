@@ -3,7 +3,8 @@
 import { attachBag, bagged } from "./bag.js";
 import { draw, LAYERS, readColours } from "./draw.js";
 import { Drive } from "./drive.js";
-import { allow, byId, keepouts, log, put, refuse, show } from "./panel.js";
+import { byId, put } from "./elements.js";
+import { allow, keepouts, log, refuse, show } from "./panel.js";
 import { listen } from "./pointer.js";
 import { begin, dark, scene, take } from "./scene.js";
 import { Connection } from "./socket.js";

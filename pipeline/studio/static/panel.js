@@ -1,17 +1,10 @@
 // The texts of the page: status, advice, lists and the event log.
 
 import { bagAdvice, bagged, showBag } from "./bag.js";
+import { button, byId, put, refill } from "./elements.js";
 import { scene } from "./scene.js";
-import { button, refill } from "./waypoints.js";
 
 const MOST_LINES = 500;
-export const byId = (id) => document.getElementById(id);
-
-/** Set a property of an element, only when it changes. */
-export function put(element, name, value) {
-  if (element[name] !== value) element[name] = value;
-}
-
 const text = (id, words) => put(byId(id), "textContent", words);
 const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 

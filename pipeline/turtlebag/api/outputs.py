@@ -75,7 +75,7 @@ class Output:
 
     @cached_property
     def _mood_and_verdict(self) -> tuple[str, str]:
-        from turtlebag.reports.content import stage_metrics, verdict
+        from turtlebag.reports.kinds import stage_metrics, verdict
 
         if self.stage is None:
             return "neutral", str(self.path)
@@ -90,7 +90,7 @@ class Output:
 
     def _facts(self) -> dict[str, str]:
         """The most important numbers, as in a report."""
-        from turtlebag.reports.content import stage_metrics
+        from turtlebag.reports.kinds import stage_metrics
         from turtlebag.reports.numbers import sections_of
 
         found = [] if self.stage is None else sections_of(self.stage, stage_metrics(self.stage), "")

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.content import DRAW
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.maps import draw_path, draw_start, faint_map
 from turtlebag.reports.figures.style import BAD, GOOD, INK, MUTED, PAPER, RULE, styled, svg_text
+from turtlebag.reports.kinds import KINDS
 from turtlebag.reports.stages import Group, Stage
 
 WIDTH_PX = 420
@@ -59,7 +59,7 @@ def picture_of(stage: Stage) -> str:
     """The first picture of an output in a report, as SVG; empty without one."""
     album = _First(None, animate=False)
     with suppress(_Enough):
-        DRAW[stage.kind](stage, Group("", (stage,)), album)
+        KINDS[stage.kind].draw(stage, Group("", (stage,)), album)
     return album.svg
 
 

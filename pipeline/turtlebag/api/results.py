@@ -13,10 +13,11 @@ from turtlebag.api.tables import Table, Trajectory
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import Array
-from turtlebag.reports.content import overall_mood, stage_metrics, verdict
+from turtlebag.reports.kinds import stage_metrics, verdict
 from turtlebag.reports.numbers import leaves
 from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest, read_path
 from turtlebag.reports.system_comparison import SystemComparison, SystemsMetrics
+from turtlebag.reports.verdicts import overall_mood
 
 GOAL_COLUMNS = ("x", "y", "yaw", "status", "time_s", "error_m", "error_rad")
 

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any, get_args
 
+from turtlebag.pipeline.stages.command_line import flag, option_of
+from turtlebag.pipeline.stages.requests.table import REQUESTS
 from turtlebag.reports.numbers import DASH
 from turtlebag.reports.stages import Group, Input, Stage
-
-TAKE_A_PATH = (
-    *("--out", "--config", "--truth", "--relations", "--also", "--continue", "--edits", "--map"),
-    *("--waypoints", "--teleop-override", "--keepout", "--bag", "--replay"),
-)
-"""Options of the commands that leave a stage whose value is a file or folder."""
-FLAGS = ("--force", "--explain", "-q", "--quiet", "-v", "--verbose")
-"""Options without a value of those commands that take a path without an option too."""
 
 
 @dataclass(frozen=True)
@@ -70,19 +67,41 @@ def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
     )
 
 
+def command_of(stage: Stage, name: str) -> str:
+    """The command that made a stage, its output called `name`, of absolute paths the last part only."""
+    out = stage.option("out")
+    words = renamed(stage.command, {} if out is None else {out.rstrip("/"): name})
+    return shlex.join(re.sub(r"^(--[\w-]+=)?/.*/(?=[^/])", r"\1", word) for word in words)
+
+
 def renamed(command: Sequence[str], names: Mapping[str, str]) -> list[str]:
     """A command line without `--force`, the known output folders renamed where a path stands, and nowhere
     else: a folder may well be called as a verb, a task or a number is."""
-    words, before = list(command[:2]), ""
+    words, others, before = list(command[:2]), _no_paths(" ".join(command[1:2])), ""
     for word in command[2:]:
         option, equals, value = word.partition("=")
-        if equals and option in TAKE_A_PATH:
-            word = f"{option}={rename(value, names)}"
-        elif before in ("", *TAKE_A_PATH, *FLAGS):
+        if option.startswith("-") and equals:
+            word = word if option in others else f"{option}={rename(value, names)}"
+        elif before not in others:
             word = rename(word, names)
         words.append(word)
-        before = option if option.startswith("-") and not equals else ""
+        before = option if not equals else ""
     return [word for word in words if word != "--force"]
+
+
+@cache
+def _no_paths(verb: str) -> frozenset[str]:
+    """The options of a verb that take a value which is no path."""
+    fields = REQUESTS[verb].model_fields.items() if verb in REQUESTS else ()
+    return frozenset(
+        flag(name, option_of(field))
+        for name, field in fields
+        if field.annotation is not bool and not _holds_path(field.annotation)
+    )
+
+
+def _holds_path(annotation: Any) -> bool:
+    return annotation is Path or any(map(_holds_path, get_args(annotation)))
 
 
 def rename(word: str, names: Mapping[str, str]) -> str:

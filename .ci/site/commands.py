@@ -1,0 +1,73 @@
+"""The reference of the site that is generated: what `--help` says of every command, and every setting."""
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import redirect_stdout, suppress
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from pydantic import BaseModel
+
+from turtlebag.pipeline.cli.main import VERBS, build_parser
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
+from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig
+from turtlebag.pipeline.stages.localise import LocaliseConfig
+from turtlebag.pipeline.stages.record import RecordConfig
+
+CONFIGS: dict[str, type[BaseModel]] = {
+    "`record`, `teleop`": RecordConfig,
+    "`map`": SlamConfig,
+    "`map`, from point clouds": Slam3dConfig,
+    "`localise`": LocaliseConfig,
+    "`navigate`, `plan`": NavigateConfig,
+}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Two pages more."""
+    files.append(File.generated(config, "commands.md", content="".join(commands())))
+    files.append(File.generated(config, "settings.md", content="".join(settings())))
+    return files
+
+
+def shown(*words: str) -> str:
+    """The help of a command, or of an action of one."""
+    with redirect_stdout(io.StringIO()) as text, suppress(SystemExit):
+        build_parser(words[0]).parse_args([*words, "--help"])
+    return text.getvalue()
+
+
+def commands() -> Iterator[str]:
+    """The page of all commands."""
+    yield "# Commands\n\nWhat `--help` says.\n"
+    for verb in VERBS:
+        text = shown(verb)
+        yield f"\n## turtlebag {verb}\n\n```text\n{text}```\n"
+        listed = text.partition("\n  ACTION\n")[2]
+        for action in re.findall(r"^    ([a-z]+)(?:  |$)", listed, re.M):
+            yield f"\n### turtlebag {verb} {action}\n\n```text\n{shown(verb, action)}```\n"
+
+
+def settings() -> Iterator[str]:
+    """The page of all settings."""
+    yield "# Settings\n\nThe keys of `--set` and [settings files](formats/config.md), with their defaults.\n"
+    for title, model in CONFIGS.items():
+        yield f"\n## {title}\n\n| key | default | |\n|---|---|---|\n"
+        for key, value, text in rows(model):
+            yield f"| `{key}` | {value} | {text} |\n"
+
+
+def rows(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str, str]]:
+    """Key, default and description of each setting of a model and of those in it."""
+    for name, field in model.model_fields.items():
+        if field.is_required():  # an option of the command
+            continue
+        default: Any = field.get_default(call_default_factory=True)
+        if isinstance(default, BaseModel):
+            yield from rows(type(default), f"{prefix}{name}.")
+            continue
+        value = "" if default is None else f"`{default}`"
+        yield f"{prefix}{name}", value, (field.description or "").replace("|", "\\|")
