@@ -3,7 +3,7 @@
 python -m benchmarks.plan [--quick] [--queries N] [--out DIR]
 
 Length is over that of the truly shortest collision-free way of the footprint (plan_shortest). Time is CPU
-time of one query, costmap ready. Every path found is checked anew, pose by pose. The Intel map is made by
+time of one query, costmap ready. Every path is checked anew, pose by pose. The Intel map is made by
 `turtlebag map` from TURTLEBAG_DATA/radish/intel.clf.bz2, and left out without it. `solved` is what the
 planner itself found, `answered` counts the last resorts of the product (the way over the cells), too.
 Written: tables, every query (plan.csv), and logs in OMPL's format with their database (plan.db) for Planner
@@ -99,16 +99,16 @@ def ask(at: Place, a: SE2, b: SE2, config: PlanConfig, seed: int) -> tuple[Plan 
     """(plan or None, CPU milliseconds)."""
     start = time.process_time()
     try:
-        found = plan_path(at.costmap, at.robot.model, a, b, config, seed)
+        plan = plan_path(at.costmap, at.robot.model, a, b, config, seed)
     except NoPath:
-        found = None
-    return found, (time.process_time() - start) * 1e3
+        plan = None
+    return plan, (time.process_time() - start) * 1e3
 
 
-def clearance(at: Place, found: Plan) -> float:
+def clearance(at: Place, plan: Plan) -> float:
     """Least clearance of the footprint on the path [m], every 2 cm of it; <= 0 is a collision."""
-    poses = at.costmap.T_grid_map @ found.poses
-    if found.planner != ORIENTED:
+    poses = at.costmap.T_grid_map @ plan.poses
+    if plan.planner != ORIENTED:
         dense = densify(np.ascontiguousarray(poses.xy), 0.02)
         step = np.diff(dense, axis=0, append=dense[-1:] + (dense[-1:] - dense[-2:-1]))
         yaw = np.arctan2(step[:, 1], step[:, 0])
@@ -134,13 +134,13 @@ def plan_row(map: str, robot: str, query: int, planner: PlannerName, count: int,
     compiled()
     at = place(map, robot, count, out)
     a, b, shortest = at.queries[query]
-    found, ms = ask(at, a, b, config_of(planner), SEED + query)
-    least = math.nan if found is None else clearance(at, found)
-    length = math.nan if found is None else found.length
+    plan, ms = ask(at, a, b, config_of(planner), SEED + query)
+    least = math.nan if plan is None else clearance(at, plan)
+    length = math.nan if plan is None else plan.length
     return {
-        "answered": int(found is not None),
-        "solved": int(found is not None and found.planner not in (OVER_CELLS, ORIENTED)),
-        "correct": int(found is not None and least > 0.0),
+        "answered": int(plan is not None),
+        "solved": int(plan is not None and plan.planner not in (OVER_CELLS, ORIENTED)),
+        "correct": int(plan is not None and least > 0.0),
         "time_ms": ms,
         "length_m": length,
         "shortest_m": shortest,
@@ -168,8 +168,8 @@ def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
         wall &= (dx < 0.0) | (np.abs(dy) > 0.5 * gap * across)
         walled = at.costmap.with_lethal(wall)
         walled.clearance_at(a.xy)  # the field is made before the clock starts
-        found, ms = ask(replace(at, costmap=walled), a, b, PlanConfig(), len(times))
-        if found is not None:
+        plan, ms = ask(replace(at, costmap=walled), a, b, PlanConfig(), len(times))
+        if plan is not None:
             raise RuntimeError("a walled-off goal was reached")
         times.append(ms)
     return {"ms": times}
@@ -177,19 +177,19 @@ def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
 
 def refused(rows: Sequence[Row]) -> list[Row]:
     """A line for each kind of goal."""
-    found = []
+    lines = []
     for (goals,), part in grouped(rows, "goals").items():
         ms = [time for row in part for time in row.get("ms", ())]
         figures = {"median ms": float(np.median(ms)), "longest ms": max(ms)} if ms else {}
-        found.append({"goals": goals, "refused": len(ms)} | figures)
-    return found
+        lines.append({"goals": goals, "refused": len(ms)} | figures)
+    return lines
 
 
 def figures(rows: Sequence[Row]) -> Row:
     """One line of the table."""
     ms = np.array([row["time_ms"] for row in rows])
-    found = [row for row in rows if row["answered"]] or [{"ratio": math.nan, "clearance_m": math.nan}]
-    ratio, room = (np.array([row[key] for row in found]) for key in ("ratio", "clearance_m"))
+    answers = [row for row in rows if row["answered"]] or [{"ratio": math.nan, "clearance_m": math.nan}]
+    ratio, room = (np.array([row[key] for row in answers]) for key in ("ratio", "clearance_m"))
     counts = {key: sum(row[key] for row in rows) for key in ("answered", "solved", "correct")}
     return {"queries": len(rows)} | counts | {
         "median ms": f"{np.median(ms):.1f}", "95 % ms": f"{np.percentile(ms, 95):.1f}",
@@ -212,7 +212,7 @@ def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for (name, robot), part in grouped(rows, "map", "robot").items():
-        runs = {planner: found for (planner,), found in grouped(part, "planner").items()}
+        runs = {planner: queries for (planner,), queries in grouped(part, "planner").items()}
         paths.append(folder / f"{name}-{robot}.log".replace(":", "_"))
         setup = f"map {name}, robot {robot}, {max(map(len, runs.values()))} queries"
         write_log(paths[-1], name.replace(":", "_"), robot, setup, runs)
@@ -240,6 +240,6 @@ def suites(args: Namespace) -> dict[str, Suite]:
 if __name__ == "__main__":
     parser = options(__doc__, "data/benchmarks/plan", "few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
-    args, known = parsed(parser, suites)
-    if rows := [row for row in run(args, known).get("plan", []) if "error" not in row]:
+    args, chosen = parsed(parser, suites)
+    if rows := [row for row in run(args, chosen).get("plan", []) if "error" not in row]:
         write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
