@@ -161,7 +161,7 @@ def beam_lengths(
 
 
 def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
-    """Occupied, free or unknown."""
+    """Occupied, free or unknown: equation (6) of docs/how-it-maps.md, and walls thinned."""
     hits, misses = counts
     seen = hits.astype(np.int32) + misses
     cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)

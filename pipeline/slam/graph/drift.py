@@ -2,7 +2,8 @@
 
 Every step and loop has a covariance, heading included. Expressed at the map's origin, as motions
 of the whole plane, covariances simply add up along a path through the graph; at its end they
-are evaluated at the key scan. So a small heading error moves a distant place far.
+are evaluated at the key scan: equation (4) of docs/how-it-maps.md. So a small heading error moves a distant
+place far.
 """
 
 from __future__ import annotations

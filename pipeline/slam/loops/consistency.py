@@ -25,7 +25,8 @@ def consistency(
 
     Each place moves the newer part of the log onto the older one. If both are true, the two motions are
     nearly equal: within the covariance of the paths between them and of the places themselves (their
-    information divided by `covariance_scale`). Beyond `reach_m`, two places cannot be compared.
+    information divided by `covariance_scale`), equation (5) of docs/how-it-maps.md. Beyond `reach_m`, two
+    places cannot be compared.
     """
     n, T = len(found), drift.T_map_keys
     comparable, agree = np.zeros((n, n), dtype=bool), np.eye(n, dtype=bool)
