@@ -19,8 +19,8 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.check.verdict import Verdict
 from turtlebag.pipeline.slam.grid import Certainty
-from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
-from turtlebag.pipeline.slam.odometry.trust import jumps, unobserved_way
+from turtlebag.pipeline.slam.odometry.evidence import Evidence
+from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
 from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.scans.clouds import FASTER, GAP_S
 from turtlebag.pipeline.slam.scans.free_space import MOST_PAIRS, NEAR_M, free_space_violations
@@ -53,13 +53,12 @@ class SelfCheck(Verdict):
     reasons: tuple[str, ...]
 
 
-def check_map(session: Session, T_map_base: SE2, noise: OdometryNoise, certainty: Certainty) -> SelfCheck:
-    """Check a finished map with these poses of all scans (n,). `noise` is that assumed for the odometry,
-    `certainty` is the grid's."""
-    recording, borders, breaks = session.recording, session.borders, session.unconfirmed
+def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCheck:
+    """Check a finished map with these poses of all scans (n,). `certainty` is the grid's."""
+    recording, evidence, breaks = session.recording, session.evidence, session.unconfirmed
     track, T_map_keys = session.track, session.graph.T_map_keys
     pairs = revisits_of(T_map_keys)
-    share = free_space_violations(session.clouds(), track.keys, T_map_keys.xyt, pairs)
+    share = free_space_violations(*session.key_scans, T_map_keys.xyt, pairs)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
@@ -89,19 +88,18 @@ def check_map(session: Session, T_map_base: SE2, noise: OdometryNoise, certainty
     empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
-    reasons += _jumps(recording, track, T_map_base, borders)
-    slid = slides(recording, T_map_base, borders)
+    reasons += _jumps(evidence, T_map_base, _steps_in_gap(recording))
+    slid = slides(recording, T_map_base, evidence.borders)
     if len(slid):
         reasons.append(
             f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
         )
-    unobserved = unobserved_way(recording, track, noise, borders)
-    constraints = session.graph.constraints
-    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved))
+    constraints, unobserved_m = session.graph.constraints, evidence.unobserved_m
+    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved_m))
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]
-        missed = unobserved.sum()
+        missed = unobserved_m.sum()
         blind = f"; scans and odometry missed {missed:.1f} m of the path" if missed > 0.0 else ""
         reasons.append(
             f"the pose graph is uncertain near x {x:.1f}, y {y:.1f} by {sigma:.2f} m (one standard "
@@ -129,10 +127,10 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * against > visits)
 
 
-def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
+def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
     """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
-    for over in (1, _steps_in_gap(recording)):
-        jumped = jumps(recording, track, T_map_base, borders, over)
+    for over in (1, steps_in_gap):
+        jumped = evidence.jumps(T_map_base, over)
         if len(jumped):
             return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"]
     return []

@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.point_to_line import Jacobian, linearise
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
@@ -104,27 +105,51 @@ def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
 
 
 @njit(cache=True, forceinline=True, _nrt=False)
+def tolerance(clouds: Clouds, r: int, limits: Limits) -> tuple[float, float]:
+    """How far point `r` may be off: 1 / sigma^2 of its robust kernel [1/m^2], and its gate [m]. Neither sigma
+    nor gate is narrower than SIGMAS of its noise."""
+    kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[r])
+    return 1.0 / kernel2, max(limits.gate, math.sqrt(kernel2))
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def find_line(
+    clouds: Clouds, r: int, key: int, T_key_scan: tuple[float, float, float, float], reach: float
+) -> int:
+    """Row of scan `key` whose line point `r` may lie on, or -1; T_key_scan is as in `linearise`."""
+    tx, ty, c, s = T_key_scan
+    px, py = clouds.points[r, 0], clouds.points[r, 1]
+    row = find_partner(tx + c * px - s * py, ty + s * px + c * py, key, clouds, reach)
+    return row if row >= 0 and clouds.line_ok[row] else -1
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def equation(
+    clouds: Clouds,
+    r: int,
+    row: int,
+    T_key_scan: tuple[float, float, float, float],
+    inv_s2: float,
+    reach: float,
+) -> tuple[float, float, Jacobian]:
+    """`linearise` of point `r` and the line of a row: e [m], w [1/m^2], j. No weight where there is no line
+    (-1), where the two surfaces face different ways, or where they are farther apart than `reach` [m]."""
+    if row < 0:
+        return 0.0, 0.0, (0.0, 0.0, 0.0)
+    points, normals, centers = clouds.points, clouds.normals, clouds.centers
+    line = (normals[row, 0], normals[row, 1], centers[row, 0], centers[row, 1])
+    e, w, j = linearise(T_key_scan, (points[r, 0], points[r, 1]), line, inv_s2)
+    if j[0] * normals[r, 0] + j[1] * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
+        return 0.0, 0.0, j
+    return e, w * inv_s2, j
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
 def partner_line(
     clouds: Clouds, r: int, key: int, T_key_scan: tuple[float, float, float, float], limits: Limits
-) -> tuple[int, float, float]:
-    """The line of scan `key` that point `r` lies on: row or -1, distance to it [m], weight [1/m^2].
-
-    T_key_scan is x, y, and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than SIGMAS
-    of the point's noise.
-    """
-    tx, ty, c, s = T_key_scan
-    normals, centers = clouds.normals, clouds.centers
-    px, py = clouds.points[r, 0], clouds.points[r, 1]
-    x, y = tx + c * px - s * py, ty + s * px + c * py
-    kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[r])
-    inv_s2, reach = 1.0 / kernel2, max(limits.gate, math.sqrt(kernel2))
-    row = find_partner(x, y, key, clouds, reach)
-    if row < 0 or not clouds.line_ok[row]:
-        return -1, 0.0, 0.0
-    nx, ny = normals[row, 0], normals[row, 1]
-    bx, by = c * nx + s * ny, -s * nx + c * ny
-    e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
-    if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
-        return -1, 0.0, 0.0
-    w = 1.0 / (1.0 + e * e * inv_s2)
-    return row, e, w * w * inv_s2
+) -> tuple[int, float, float, Jacobian]:
+    """The line of scan `key` that point `r` lies on: row, or -1, and its `equation`."""
+    inv_s2, reach = tolerance(clouds, r, limits)
+    row = find_line(clouds, r, key, T_key_scan, reach)
+    e, w, j = equation(clouds, r, row, T_key_scan, inv_s2, reach)
+    return row if w > 0.0 else -1, e, w, j

@@ -9,9 +9,10 @@ import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.point_to_line import add_equation, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.threads import in_parts
-from turtlebag.pipeline.slam.scans.align import SURFACE_VAR, add_equation, observable, safe_solve
+from turtlebag.pipeline.slam.scans.align import direction_var, observable, safe_solve
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.scans.open3d_icp import match_points
@@ -122,31 +123,25 @@ def _half(
     inverted: bool,
     equations: tuple[Array, Array],
 ) -> tuple[int, int, float]:
-    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan as in `partner_line`.
+    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan as in `linearise`.
 
     Returned are the points with a line, those with a partner, and the information that errors of the
     normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that
     `scan` is i and `key` j.
     """
-    points, normals, line_ok = clouds.points, clouds.normals, clouds.line_ok
-    (tx, ty, c, s), (h, g) = T_key_scan, equations
-    used, hit, faked = 0, 0, 0.0
+    (h, g), used, hit, faked = equations, 0, 0, 0.0
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
-        if not line_ok[r]:
+        if not clouds.line_ok[r]:
             continue
         used += 1
-        row, e, w = partner_line(clouds, r, key, T_key_scan, limits)
+        row, e, w, j = partner_line(clouds, r, key, T_key_scan, limits)
         if row < 0:
             continue
         hit += 1
-        px, py = points[r, 0], points[r, 1]
-        x, y = tx + c * px - s * py, ty + s * px + c * py
-        nx, ny = normals[row, 0], normals[row, 1]
-        bx, by = c * nx + s * ny, -s * nx + c * ny
-        faked += w * (clouds.normal_var[row] + SURFACE_VAR)
         if inverted:
-            add_equation(h, g, w, -nx, -ny, -(x * ny - y * nx), e)
-        else:
-            add_equation(h, g, w, bx, by, by * px - bx * py, e)
+            point, normal = clouds.points[r], clouds.normals[row]
+            j = of_the_line(T_key_scan, (point[0], point[1]), (normal[0], normal[1]))
+        faked += w * direction_var(clouds, row)
+        add_equation(h, g, w, j, e)
     h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
     return used, hit, faked

@@ -28,10 +28,10 @@ from turtlebag.pipeline.slam.scans.clouds import (
     USABLE_M,
     fastest,
     known_motion,
-    make_clouds,
     way_and_turn,
 )
 from turtlebag.pipeline.slam.scans.range_noise import PER_MEDIAN, RangeNoise, range_noise
+from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.gyro_slip import turns_with
 
 # Delays considered [s].
@@ -298,8 +298,7 @@ def tracked_alone(
         odometry=None,
         imu=None,
     )
-    clouds = make_clouds(alone, USABLE_M, known_motion(late), noise)
-    return track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
+    return track_log(Scans(alone, USABLE_M, noise, known_motion(late)), TrackingConfig(), Lines)
 
 
 def usual_period(recording: Recording) -> float:
