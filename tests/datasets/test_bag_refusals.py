@@ -133,7 +133,7 @@ REFUSED = [
     (
         partial(require_messages, count=0, notes=[]),
         "drive",
-        "...no message could be converted (the bag is empty)",
+        "...could be converted (the bag is empty)",
     ),
     (partial(BagWriter, custom={}), "drive", "...already..."),
 ]
