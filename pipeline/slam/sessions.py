@@ -69,8 +69,9 @@ def join(
     loops: LoopConfig,
     tracking: TrackingConfig,
 ) -> Session:
-    """Session `b` located in the map of `a`, and the two as one: only one weak constraint connects them, and
-    the loops between them are still to be closed. InputError if no place of `a` is recognised."""
+    """Session `b`, one recording, located in the map of `a`, and the two as one: only a weak constraint
+    connects them, and the loops between them are still to be closed. InputError if no place of `a` is
+    recognised."""
     recording, border = joined_recording([a.recording, b.recording]), len(a.recording)
     key_scans = joined_keys(a.key_scans, b.key_scans)
     T_map_b = place_of(key_scans, a, b, places, loops)
@@ -80,13 +81,15 @@ def join(
         )
     track_a, track_b = a.carried(), b.carried()
     track = joined_track(track_a, track_b, T_map_b)
-    evidence = evidence_of(recording, track, tracking.odometry, np.array([border]))
-    weak = border_constraint(track_a, a.graph.T_map_keys, T_map_b, track_b)
-    steps = [c for c in step_constraints(track, tracking, evidence.distrusted) if c.i != weak.i]
+    evidence = evidence_of(recording, track, tracking.odometry, np.append(a.evidence.borders, border))
+    weak = [c for c in a.graph.constraints if c.kind is Kind.BORDER]
+    weak.append(border_constraint(track_a, a.graph.T_map_keys, T_map_b, track_b))
+    ends = {c.j for c in weak}
+    steps = [c for c in step_constraints(track, tracking, evidence.distrusted) if c.j not in ends]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     breaks = joined_breaks(a.bridged(), b.bridged(), border)
-    graph = Graph(track.T_track_base[track.keys], [*steps, weak], [], [], breaks.broken)
+    graph = Graph(track.T_track_base[track.keys], [*steps, *weak], [], [], breaks.broken)
     return Session(recording, key_scans, motion, track, evidence, breaks, graph, a.ranges)
 
 
