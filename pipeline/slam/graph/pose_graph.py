@@ -76,6 +76,11 @@ GTSAM = Gtsam()
 optimise = GTSAM.optimise
 
 
+def positive_definite(information: Array) -> Array:
+    """Information (..., k, k) with a negligible one added, so that it has an inverse."""
+    return information + FLOOR[information.shape[-1]]
+
+
 def relative(T_a: Poses, T_b: Poses) -> Poses:
     """Poses b relative to poses a."""
     return T_a.inverse() @ T_b if isinstance(T_a, SE2) else se3.inverse(T_a) @ T_b
@@ -126,8 +131,7 @@ def noise_model(constraint: Constraint) -> Any:
     """GTSAM's noise model of a constraint, with a floor that keeps its information positive definite."""
     import gtsam
 
-    floor = FLOOR[len(constraint.information)]
-    gaussian: Any = gtsam.noiseModel.Gaussian.Information(constraint.information + floor)
+    gaussian: Any = gtsam.noiseModel.Gaussian.Information(positive_definite(constraint.information))
     if constraint.cauchy == 0.0:
         return gaussian
     return gtsam.noiseModel.Robust.Create(_cauchy(constraint.cauchy), gaussian)

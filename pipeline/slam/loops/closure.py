@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop, firm
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places, relaxed
 from turtlebag.pipeline.slam.loops.by_distance import BATCH, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
+
+# A scan that the user placed is searched within this window [m], [rad].
+HAND_M, HAND_RAD = 0.5, 0.35
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
 

@@ -75,6 +75,10 @@ class Clouds(NamedTuple):
         """Points of one scan that have a surface line."""
         return int(np.count_nonzero(self.line_ok[self.starts[scan] : self.starts[scan + 1]]))
 
+    def has_lines(self, scan: int) -> bool:
+        """Whether a scan can be matched by lines at all."""
+        return self.lines(scan) >= MIN_LINES
+
     def placed_by(self, scan: int) -> Literal["lines", "points", "nothing"]:
         """Whether a scan is matched by lines or by points."""
         points, lines = int(self.starts[scan + 1] - self.starts[scan]), self.lines(scan)
@@ -145,6 +149,16 @@ def fastest(moved: Array, seconds: Array) -> Array:
     return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
 
 
+def is_gap(wait_s: float) -> bool:
+    """Whether nothing is known of the motion over this time between two scans [s], negative or not."""
+    return abs(wait_s) > GAP_S
+
+
+def without_gap(waits_s: Array) -> NDArray[np.bool_]:
+    """Which times between scans (n,) [s] are known and short enough to know the motion."""
+    return (waits_s > 0.0) & (waits_s < GAP_S)
+
+
 def way_and_turn(steps: Array) -> Array:
     """Distance [m] and turn [rad] of motions (n, 3), both unsigned, (n, 2)."""
     return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])])
@@ -178,7 +192,7 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
     waits = seconds(np.diff(recording.stamps_ns))
     steps = T_track_base.steps()
-    known = (waits > 0.0) & (waits < GAP_S)
+    known = without_gap(waits)
     speed = np.where(known[:, None], steps / np.where(known, waits, 1.0)[:, None], 0.0)
     around = np.concatenate([speed[:1], speed, speed[-1:]])
     whole = 0.5 * (around[:-1] + around[1:]) * sweep_s

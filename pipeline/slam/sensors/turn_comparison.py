@@ -17,21 +17,21 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.durations import nanoseconds, seconds
+from turtlebag.datasets.robust import cauchy_cost, sigma_by_median
 from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
-from turtlebag.pipeline.slam.scans.align import CAUCHY
 from turtlebag.pipeline.slam.scans.clouds import (
-    GAP_S,
     USABLE_M,
     fastest,
     known_motion,
     make_clouds,
     way_and_turn,
+    without_gap,
 )
-from turtlebag.pipeline.slam.scans.range_noise import PER_MEDIAN, RangeNoise, range_noise
+from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.sensors.gyro_slip import turns_with
 
 # Delays considered [s].
@@ -199,8 +199,8 @@ class Turns(NamedTuple):
     @property
     def sigma(self) -> float:
         """Standard deviation at the best delay [rad]."""
-        deviation = np.median(np.abs(self.off), axis=2).min() if len(self.stretch) else 0.0
-        return max(PER_MEDIAN * float(deviation), 1e-3)
+        least = sigma_by_median(self.off, axis=2).min() if len(self.stretch) else 0.0
+        return max(float(least), 1e-3)
 
     @property
     def alike(self) -> bool:
@@ -213,7 +213,7 @@ class Turns(NamedTuple):
     def costs(self, sigma: float) -> Array:
         """The costs of each stretch at each delay, (2, delays, STRETCHES)."""
         of_stretch = self.stretch[:, None] == np.arange(STRETCHES)
-        return np.asarray(np.log1p((self.off / (CAUCHY * sigma)) ** 2) @ of_stretch)
+        return np.asarray(cauchy_cost((self.off / sigma) ** 2) @ of_stretch)
 
     def least(self, sigma: float) -> Array:
         """The costs of each stretch at the delay at which both turn together best."""
@@ -241,7 +241,7 @@ def _starts(scans: Recording) -> list[int]:
     """First scans of the stretches in which the turning changes most, and the odometry does not jump."""
     assert scans.T_odom_base is not None
     waits, moved = seconds(np.diff(scans.stamps_ns)), way_and_turn(scans.T_odom_base.steps())
-    known = (waits > 0.0) & (waits < GAP_S)
+    known = without_gap(waits)
     starts = np.arange(0, len(scans) - SCANS, SCANS)
     if not len(starts) or not known.any():
         return []
@@ -279,7 +279,7 @@ def _turned(scans: Recording, noise: RangeNoise, lidar: LidarSpec, late_s: float
     track = tracked_alone(replace(scans, lidar=lidar), rows, noise, late_s)
     times = seconds(scans.stamps_ns[rows] - scans.stamps_ns[0])
     waits = np.diff(times)
-    known = np.convolve((waits > 0.0) & (waits < GAP_S) & track.usable[1:], np.ones(SPAN), "valid")
+    known = np.convolve(without_gap(waits) & track.usable[1:], np.ones(SPAN), "valid")
     yaw = np.unwrap(track.T_track_base.yaw)
     return np.column_stack([times[:-SPAN], times[SPAN:], yaw[SPAN:] - yaw[:-SPAN]])[known == SPAN]
 
