@@ -22,10 +22,10 @@ from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, Recording
-from turtlebag.pipeline.slam.scans.clouds import known_motion
 
 MAX_COUNTED = 400_000_000
 """Cells for counting beams; most are cut off when the map is trimmed to its known part."""

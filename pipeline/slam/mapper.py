@@ -13,6 +13,7 @@ from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.motion import sweep_motion, sweep_motion_by_track
 from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
@@ -32,13 +33,7 @@ from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.odometry.trust import distrusted, jumps
-from turtlebag.pipeline.slam.scans.clouds import (
-    USABLE_M,
-    Clouds,
-    KeyScans,
-    sweep_motion,
-    sweep_motion_by_track,
-)
+from turtlebag.pipeline.slam.scans.clouds import USABLE_M, Clouds, KeyScans
 from turtlebag.pipeline.slam.scans.parts import among, clouds_maker, joined_clouds
 from turtlebag.pipeline.slam.sensors.gyro_slip import with_gyro
 from turtlebag.pipeline.slam.sensors.mounting import facing

@@ -20,6 +20,7 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import require_bounded_zip
+from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.datasets.yaml_files import checked
@@ -28,7 +29,6 @@ from turtlebag.pipeline.slam.mapper import LATER, SlamConfig
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.scans.clouds import KNOTS
 from turtlebag.pipeline.slam.scans.parts import among, clouds_maker
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Session

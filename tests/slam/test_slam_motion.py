@@ -11,6 +11,7 @@ from tests.helpers.made_logs import office_plan, office_route
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, recording
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED
+from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
@@ -20,7 +21,7 @@ from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig, carried_poses
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.scans.align import Prior, align
-from turtlebag.pipeline.slam.scans.clouds import make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
 from turtlebag.pipeline.stages.localise import sweep_ends
 

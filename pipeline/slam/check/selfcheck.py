@@ -14,16 +14,16 @@ import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import FASTER, GAP_S
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.check.verdict import Verdict
 from turtlebag.pipeline.slam.grid import Certainty
+from turtlebag.pipeline.slam.loops.free_space import MOST_PAIRS, NEAR_M, free_space_violations
 from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.odometry.trust import jumps, unobserved_way
 from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.scans.clouds import FASTER, GAP_S
-from turtlebag.pipeline.slam.scans.free_space import MOST_PAIRS, NEAR_M, free_space_violations
 from turtlebag.pipeline.slam.sensors.turn_comparison import odometry_stream, usual_period
 from turtlebag.pipeline.slam.sessions import Session
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.pipeline.slam.loops.free_space import contradicts, mean_violation
 from turtlebag.pipeline.slam.loops.match import Stretch
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.free_space import contradicts, mean_violation
 
 # An alignment that ends farther than this from the search result [m], [rad] has moved to another place.
 PEAK = 0.15

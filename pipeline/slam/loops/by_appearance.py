@@ -25,6 +25,14 @@ from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.graph.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency, support
+from turtlebag.pipeline.slam.loops.free_space import (
+    NEAR_M,
+    THROUGH_M,
+    contradicts,
+    mean_violation,
+    thinned,
+    visits,
+)
 from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops.submaps import (
     Pictures,
@@ -40,19 +48,11 @@ from turtlebag.pipeline.slam.odometry.track import blind
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.correspondences import Limits
-from turtlebag.pipeline.slam.scans.free_space import (
-    NEAR_M,
-    THROUGH_M,
-    contradicts,
-    mean_violation,
-    thinned,
-    visits,
-)
 
 # Another place may be the true one if it has at most this many times as many free-space violations (places
 # that only look alike: 6 % and more, rooms identical to the centimetre 1 to 3 %). A true place has at most
-# this many times what is usual in the log, and a little more (see `contradicts`): simulated logs 0 to 1 % (0 is
-# usual), CSAIL 1 (1), acapulco 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
+# this many times what is usual in the log and what `contradicts` adds: simulated logs 0 to 1 % (0 is usual),
+# CSAIL 1 (1), acapulco 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
 ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
 # Submaps made at one place count as one if the cosine between their headings is larger than this.
 SAME_WAY = 0.7

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import GAP_S
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.track import Track, blind
 from turtlebag.pipeline.slam.odometry.trust import agree, too_fast
 from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.scans.clouds import GAP_S
 
 # A gap is at least this many usual periods long.
 GAP_PERIODS = 8.0

@@ -73,6 +73,11 @@ class Calibration:
         return np.eye(3) * sigma[..., None, :] ** -2.0
 
 
+def gross(error: Array | float, size: Array | float) -> NDArray[np.bool_]:
+    """Whether odometry with such errors (n,) of motions of such a size (n,) is wrong, not just late."""
+    return np.abs(error) > GROSS * np.asarray(size)
+
+
 def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_keys: SE2) -> Calibration:
     """Systematic errors of odometry, from key scans matched with each other without its help.
 

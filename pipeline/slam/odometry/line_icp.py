@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from turtlebag.datasets.motion import ANY_ROBOT, is_gap
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.odometry.front_end import Placed
 from turtlebag.pipeline.slam.odometry.kiss import KissIcp
@@ -23,7 +24,6 @@ from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, confirms
 from turtlebag.pipeline.slam.odometry.tracker import Tracker
 from turtlebag.pipeline.slam.odometry.trust import OdometryTrust
 from turtlebag.pipeline.slam.scans.align import Alignment, Prior, align
-from turtlebag.pipeline.slam.scans.clouds import ANY_ROBOT, is_gap
 from turtlebag.pipeline.slam.scans.correlative import best_pose
 from turtlebag.pipeline.slam.scans.correspondences import Limits
 

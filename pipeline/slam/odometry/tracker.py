@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import is_gap
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.scans.align import NEIGHBOURS
-from turtlebag.pipeline.slam.scans.clouds import Clouds, is_gap
+from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correlative import Field, best_pose, make_field
 
 # Key scans in the coarse search's field, and the size of its cells [m].

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.motion import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import GROSS
 from turtlebag.pipeline.slam.odometry.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
 from turtlebag.pipeline.slam.scans.align import contradiction
-from turtlebag.pipeline.slam.scans.clouds import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
 
 # Scans contradict a step of the odometry when the two are this many standard deviations apart; this many of
 # its last steps are taken together.

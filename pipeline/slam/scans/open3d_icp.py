@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.open3d_loader import open3d
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.scans.clouds import point_information
-from turtlebag.pipeline.slam.scans.open3d_loader import open3d
 
 # Fewer points matched are no match.
 LEAST_MATCHES = 8

@@ -16,7 +16,7 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.robust import cauchy_weight, sigma_by_median
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import ImuLog, Recording, Trajectory
-from turtlebag.pipeline.slam.odometry.calibration import GROSS, ODOMETRY_SHARE
+from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, gross
 
 # A gyro with a longer period or longer gaps than this is not used across them [s].
 HOLE_S = 0.1
@@ -144,10 +144,10 @@ def gyro_errors(turns: Array, steps: Array, waits: Array) -> Array:
 
 
 def _agrees(turns: Array, odometry: Array) -> bool:
-    """Whether the odometry takes part in the gyro's turns, within GROSS: slipping wheels turn alone."""
+    """Whether the odometry takes part in the gyro's turns; slipping wheels turn alone."""
     turned = np.abs(turns)
     missed = np.minimum(np.abs(turns - odometry), turned)
-    return bool(turned.sum() > TURNING_RAD and missed.sum() < GROSS * turned.sum())
+    return bool(turned.sum() > TURNING_RAD and not gross(missed.sum(), turned.sum()))
 
 
 def with_turns(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:

@@ -17,20 +17,14 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.durations import nanoseconds, seconds
+from turtlebag.datasets.motion import fastest, known_motion, way_and_turn, without_gap
 from turtlebag.datasets.robust import cauchy_cost, sigma_by_median
 from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
-from turtlebag.pipeline.slam.scans.clouds import (
-    USABLE_M,
-    fastest,
-    known_motion,
-    make_clouds,
-    way_and_turn,
-    without_gap,
-)
+from turtlebag.pipeline.slam.scans.clouds import USABLE_M, make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.sensors.gyro_slip import turns_with
 
@@ -117,7 +111,7 @@ def compared_turns(recording: Recording) -> Timing:
         return Timing()
     stream = odometry_stream(recording)
     usual = usual_period(recording)
-    thin = slice(None, None, max(1, round(PERIOD_S / usual)))
+    thin = slice(None, None, thinning(recording))
     scans = replace(
         recording,
         stamps_ns=recording.stamps_ns[thin],
@@ -300,6 +294,11 @@ def tracked_alone(
     )
     clouds = make_clouds(alone, USABLE_M, known_motion(late), noise)
     return track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
+
+
+def thinning(recording: Recording) -> int:
+    """Every so many scans are PERIOD_S apart."""
+    return max(1, round(PERIOD_S / usual_period(recording)))
 
 
 def usual_period(recording: Recording) -> float:
