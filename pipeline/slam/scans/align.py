@@ -346,7 +346,7 @@ def safe_solve(a: Array, b: Array) -> Array:
 
 @njit(cache=True)
 def observable(hessian: Array, faked: float) -> Array:
-    """The information that is not an artefact of noisy normals.
+    """The information that is not an artefact of noisy normals: (3) in docs/how-it-maps.md.
 
     In a featureless corridor all true normals point across it; the fitted ones scatter, which alone yields
     information along the corridor: `faked`, the sum over the points of weight times variance of the normal's
