@@ -61,6 +61,17 @@ def staged_file(out: Path, *, force: bool = False) -> Iterator[Path]:
         lock.finish(partial / out.name)
 
 
+class Stopwatch:
+    """Measures wall time from when it was made."""
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter()
+
+    def seconds(self) -> float:
+        """Wall time so far [s]."""
+        return time.perf_counter() - self._start
+
+
 @dataclass(frozen=True)
 class Output:
     """The folder that a stage writes, and how: `force` replaces an earlier output; `command` and `request`,
@@ -70,7 +81,7 @@ class Output:
     force: bool = False
     command: Sequence[str] = ()
     request: Mapping[str, Any] = field(default_factory=dict)
-    _begun_s: float = field(default_factory=time.perf_counter, init=False, compare=False)
+    _watch: Stopwatch = field(default_factory=Stopwatch, init=False, compare=False)
 
     def __post_init__(self) -> None:
         require_free(self.folder, force=self.force, kind="folder")
@@ -82,7 +93,7 @@ class Output:
     @property
     def wall_s(self) -> float:
         """Wall time since it was asked for [s]."""
-        return time.perf_counter() - self._begun_s
+        return self._watch.seconds()
 
     def finish(
         self,
@@ -138,17 +149,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-class Stopwatch:
-    """Measures wall time from when it was made."""
-
-    def __init__(self) -> None:
-        self._start = time.perf_counter()
-
-    def seconds(self) -> float:
-        """Wall time so far [s]."""
-        return time.perf_counter() - self._start
 
 
 def write_manifest(

@@ -8,7 +8,6 @@ import json
 import tarfile
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from typing import Any
 
 from turtlebag.datasets.bags.remote import brought
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Output
+from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.cases import Case, with_places
 from turtlebag.pipeline.campaign.store import Store
@@ -62,7 +61,7 @@ def run_case(case: Case, campaign: Campaign, where: Where, run: Run) -> Done:
     It works in a folder of its own, on whatever machine it is. Its row is put into the store last: where it
     is, the case is done.
     """
-    started = time.perf_counter()
+    watch = Stopwatch()
     with tempfile.TemporaryDirectory(prefix="case-", dir=_scratch()) as folder:
         work = _Work(case, campaign, where, run, Path(folder))
         try:
@@ -71,7 +70,7 @@ def run_case(case: Case, campaign: Campaign, where: Where, run: Run) -> Done:
         except StageFailed as failure:
             row = row_of(case, campaign, str(failure))
         work.keep_files()
-    wall_s = round(time.perf_counter() - started, 3)
+    wall_s = round(watch.seconds(), 3)
     where.runs.put(f"{ROWS}/{case.name}.json", json.dumps({"row": row, "wall_s": wall_s}).encode())
     return row, wall_s
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +26,7 @@ def refuse(args: argparse.Namespace, names: Iterable[str], why: str) -> None:
     for name in names:
         value = getattr(args, name)
         if value is not None and value is not False and value != []:
-            raise InputError(f"--{'set' if name == 'settings' else name.replace('_', '-')}: {why}")
+            raise InputError(f"--{name.replace('_', '-')}: {why}")
 
 
 def named_inputs(args: argparse.Namespace) -> list[Path]:
@@ -43,9 +42,4 @@ def named_inputs(args: argparse.Namespace) -> list[Path]:
             # A word may be the name of something built in; only a file of that name is meant as a file.
             if isinstance(one, Path) or (isinstance(one, str) and not os.path.isdir(one)):
                 found.append(Path(one))
-    if isinstance(given.get("map"), Path):
-        from turtlebag.datasets.maps import map_files  # heavy, and needed anyway where there is a map
-
-        with suppress(InputError):
-            found += map_files(given["map"]).values()
     return [path for path in found if os.path.exists(path)]

@@ -5,16 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError, Unfinished
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.cli.arguments import output, refuse
-from turtlebag.pipeline.stages.parser import Parser, seed
-from turtlebag.pipeline.stages.requests.options import map_file, on_map
+from turtlebag.pipeline.cli.arguments import output
+from turtlebag.pipeline.stages.command_line import add_request, flag_of_field, request_of
+from turtlebag.pipeline.stages.parser import Parser
+from turtlebag.pipeline.stages.requests.studio import StudioRequest
 
 if TYPE_CHECKING:
     from socket import socket
@@ -22,39 +23,31 @@ if TYPE_CHECKING:
     from turtlebag.pipeline.studio.access import Access
     from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup
 
-EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
-WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
+EXAMPLE = StudioRequest.EXAMPLE
+LOOPBACK = "127.0.0.1"
 SIMULATED = ("world", "robot", "seed", "map", "config", "settings")
 LIVE = (*SIMULATED, "bag", "port", "host")
-"""Options that --replay does not take, because the session file has them."""
+"""Fields that a replay does not take, because the session file has them."""
 
 
 def add_arguments(parser: Parser) -> None:
     """The command's arguments."""
-    parser.option("--world", "W", f"world: a name or a YAML or SDF file (default: {WORLD})")
-    parser.option("--robot", "R", "robot: a name or a YAML file (default: the world's own)")
-    parser.option("--seed", "N", f"random seed (default: {SEED})", seed)
-    option = on_map("start")
-    parser.option("--map", option.value, option.text, lambda text: map_file(Path(text)))
-    parser.option("--bag", "BAG", "bag or log to play and map, in place of a simulation", Path)
-    parser.option("--port", "P", "port of the page (default: a free one)", _port)
-    text = (
-        "address to listen on (default: this machine only); on any other, anyone who knows the page's "
-        "address can drive"
-    )
-    parser.option("--host", "H", text)
-    parser.flag("--no-browser", "only print the page's address, do not open it")
-    text = "replay a session.yaml without a page; needs --out"
-    parser.option("--replay", "FILE", text, Path)
-    parser.add_config()
+    add_request(parser, StudioRequest)
     text = "folder for everything that is saved (default: data/studio/WORLD-ROBOT-SEED)"
     parser.add_output(text, required=False)
 
 
+def inputs(args: argparse.Namespace) -> list[Path]:
+    """What the session may read; the request of the arguments is made here."""
+    args.request = request_of(StudioRequest, args)
+    return args.request.files()
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve the page until the session ends or Ctrl-C, or replay a session."""
-    if args.replay is not None:
-        return _replay(args)
+    request: StudioRequest = args.request
+    if request.session is not None:
+        return _replay(request, args)
     from turtlebag.pipeline.stages.record import RecordOptions
     from turtlebag.pipeline.stages.settings import load_config
     from turtlebag.pipeline.studio.access import Access, is_loopback, listen, new_token
@@ -62,18 +55,17 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.terminal.messages import log
 
     setup: StudioSetup | BagSetup
-    if args.bag is not None:
-        refuse(args, SIMULATED, "cannot be used with --bag, where nothing is simulated; remove it")
-        setup = BagSetup(args.bag)
-        words: tuple[str, ...] = (args.bag.name,)
+    if request.bag is not None:
+        _refuse(request, SIMULATED, "cannot be used with --bag, where nothing is simulated; remove it")
+        setup = BagSetup(request.bag)
+        words: tuple[str, ...] = (request.bag.name,)
     else:
-        options = load_config(RecordOptions, args.config, args.settings)
-        chosen = SEED if args.seed is None else args.seed
-        setup = StudioSetup(args.world or WORLD, args.robot, chosen, args.map, options.sim)
+        options = load_config(RecordOptions, request.config, request.settings)
+        setup = StudioSetup(request.world, request.robot, request.seed, request.map, options.sim)
         words = (Path(setup.world).stem, Path(setup.robot_name).stem, str(setup.seed))
     out = args.out or _free_folder(words)
-    host = args.host or LOOPBACK
-    sockets = listen(host, args.port or 0)
+    host = request.host or LOOPBACK
+    sockets = listen(host, request.port or 0)
     access = Access(new_token(), host, sockets[0].getsockname()[1])
     if not is_loopback(host):
         log.warning(
@@ -96,7 +88,7 @@ def _live(
     def ready() -> None:
         say(access.url)
         log.info("Ctrl-C ends the session")
-        if not args.no_browser:
+        if args.request.browser:
             _open_browser(access.url)
 
     failure: Exception | None = None
@@ -120,14 +112,20 @@ def _live(
     return 128 + interrupted[0] if interrupted else 0
 
 
-def _replay(args: argparse.Namespace) -> int:
-    from turtlebag.pipeline.stages.studio import replay
-    from turtlebag.pipeline.terminal.messages import log
+def _replay(request: StudioRequest, args: argparse.Namespace) -> int:
+    from turtlebag.pipeline.stages.run import run as run_stage
 
-    refuse(args, LIVE, "cannot be used with --replay, which takes it from the session; remove it")
+    _refuse(request, LIVE, "cannot be used with --replay, which takes it from the session; remove it")
     if args.out is None:
         raise InputError("--replay: needs --out DIR, the folder to write the session to")
-    return replay(args.replay, output(args), say=log.info)
+    return run_stage(request, output(args))
+
+
+def _refuse(request: StudioRequest, names: Iterable[str], why: str) -> None:
+    """InputError for the first of these fields that was given."""
+    for name in names:
+        if name in request.model_fields_set:
+            raise InputError(f"{flag_of_field(request, name)}: {why}")
 
 
 def _free_folder(words: Sequence[str]) -> Path:
@@ -146,9 +144,3 @@ def _open_browser(url: str) -> None:
     if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY", "BROWSER"} & set(os.environ):
         return
     threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
-
-
-def _port(text: str) -> int:
-    if not text.isdecimal() or not 0 < int(text) < 65536:
-        raise argparse.ArgumentTypeError(f"must be a port from 1 to 65535, not {text}")
-    return int(text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
@@ -52,12 +53,13 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
         return found
     names = {"name_a": f"A: {a.resolve().name}", "name_b": f"B: {b.resolve().name}"}
     moods = [row.mood for row in found.rows]
-    told = {"commands": [command_of(stage, name) for stage, name in zip(stages, "AB", strict=True)]}
-    told |= {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
+    told: dict[str, Any] = {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
+    commands = [command_of(stage, name) for stage, name in zip(stages, "AB", strict=True)]
     with out.staged() as folder:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)
-        page = fill("compare.html.j2", **names, found=found, pictures=album.pictures, **told)
+        told |= {"found": found, "commands": commands, "pictures": album.pictures}
+        page = fill("compare.html.j2", **names, **told)
         (folder / "index.html").write_text(page)
         metrics = {row.spec.path: row.values for row in found.rows}
         out.finish(folder, "compare", {"A": a, "B": b}, metrics=metrics)

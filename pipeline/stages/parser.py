@@ -105,12 +105,6 @@ class Parser(argparse.ArgumentParser):
         self.option("--out", what, text, Path, required=required)
         self.flag("--force", "replace --out if it is an output of ours that nobody has changed")
 
-    def add_config(self) -> None:
-        """--config and --set."""
-        self.option("--config", "FILE", "YAML file with settings", Path)
-        text = "override one setting; may be repeated"
-        self.option("--set", "KEY=VALUE", text, dest="settings", action="append", default=[])
-
 
 def add_action(actions: Any, name: str, text: str, example: str) -> Parser:
     """A verb, or an action of one; its help ends with an example of one line, for copying."""
@@ -143,6 +137,13 @@ def seed(text: str) -> int:
 def count(text: str) -> int:
     """A number of things, 1 or more."""
     return _whole(text, 1)
+
+
+def port_number(text: str) -> int:
+    """The number of a port."""
+    if not text.isdecimal() or not 0 < int(text) < 65536:
+        raise argparse.ArgumentTypeError(f"must be a port from 1 to 65535, not {text}")
+    return int(text)
 
 
 def positive(text: str) -> float:

@@ -7,15 +7,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.stages.command_line import recorded
-from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest, ReplayRequest
+from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.options import XYT, Laser
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.studio import StudioRequest
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log, say
@@ -58,10 +60,12 @@ def run(request: Request, out: Output) -> int:
             from turtlebag.pipeline.stages.bags import recover_bag
 
             return recover_bag(request, out)
-        case ReplayRequest():
+        case StudioRequest(session=Path() as session):
             from turtlebag.pipeline.stages.studio import replay
 
-            return replay(request.session, out, say=log.info)
+            return replay(session, out, say=log.info)
+        case StudioRequest():
+            raise InputError("studio: a person drives; give --replay a session.yaml to drive again")
     raise TypeError(f"{type(request).__name__}: no stage does this")
 
 

@@ -3,6 +3,7 @@
 import ast
 import gc
 import importlib
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -51,6 +52,21 @@ def test_importing_loads_nothing_heavy_and_every_name_is_there():
     assert all(getattr(tb, name) is not None for name in tb.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = tb.nothing
+
+
+def test_options_are_shown_with_their_types():
+    steps = (tb.record, tb.map, tb.localise, tb.plan, tb.navigate, tb.report)
+    shown = {step.__name__: inspect.signature(step).parameters for step in steps}
+    assert all(one.annotation is not one.empty for options in shown.values() for one in options.values())
+    types = {name: str(shown["map"][name].annotation) for name in ("topic", "also", "truth", "settings")}
+    assert types == {
+        "topic": "str | None",
+        "also": "tuple[PathLike, ...]",
+        "truth": "PathLike | None",
+        "settings": "dict[str, Any]",
+    }
+    assert shown["localise"]["initial_pose"].annotation == "Pose | Literal['global'] | None"
+    assert shown["record"]["start"].default is None
 
 
 def test_the_names_for_type_checkers_are_those_that_are_loaded():

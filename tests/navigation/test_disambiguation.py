@@ -38,7 +38,7 @@ from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
-from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
+from turtlebag.pipeline.navigation.pose_watch import RelocaliseConfig
 from turtlebag.planners.control.collision_monitor import PADDING_M, CollisionMonitor
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.control.pursuit import Pursuit

@@ -9,7 +9,7 @@ A loop has no information along unobservable directions, and enters the graph wi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
@@ -28,6 +28,7 @@ from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
 from turtlebag.pipeline.slam.loops.acceptance import loop_verdict
 from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops.matchers import LineMatch, Open3dMatch
+from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.correlative import TURN_RAD, best_pose, make_field
 from turtlebag.pipeline.slam.scans.correspondences import Limits
@@ -86,19 +87,20 @@ def close_loops(
     T_map_keys: SE2,
     steps: Sequence[Constraint],
     closing: LoopClosing,
-    batches: Iterable[int],
     part: NDArray[np.int64],
     known: Sequence[Constraint] = (),
+    progress: Progress = no_progress,
 ) -> LoopFinder:
-    """Search along the log; `batches` yields 0, 1, ... for each BATCH keys (the position of a progress bar).
+    """Search along the log, BATCH keys at a time.
 
     Loops are searched within parts of the log only (`part`, (keys,)): across a break of the track, distance
     says nothing. `known` are loops found otherwise. The returned finder holds the poses with loops closed,
     the loop constraints, and the record of all candidates.
     """
     finder = LoopFinder(scans, T_map_keys, steps, closing, part, known)
-    for batch in batches:
-        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(scans.keys))))
+    n = len(scans.keys)
+    for batch in progress(range(-(-n // BATCH)), "closing loops", -(-n // BATCH)):
+        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, n)))
     return finder
 
 

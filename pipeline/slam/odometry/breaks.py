@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.motion import GAP_S
-from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.odometry.track import Track, blind
-from turtlebag.pipeline.slam.odometry.trust import agree, too_fast
-from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
+from turtlebag.pipeline.slam.odometry.evidence import Evidence
+from turtlebag.pipeline.slam.odometry.track import Track
 
 # A gap is at least this many usual periods long.
 GAP_PERIODS = 8.0
@@ -92,24 +90,24 @@ def joined_parts(
     return np.asarray(part[segment]), released
 
 
-def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
+def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
     """Judge every step between the key scans of a track."""
-    T, keys = track.T_track_base, track.keys
-    sure = ~blind(track.information) & (track.overlap >= SURE_OVERLAP)
+    T, keys, stamps_ns = track.T_track_base, track.keys, evidence.stamps_ns
+    sure = ~evidence.blind & (track.overlap >= SURE_OVERLAP)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     # the first scan that fits nothing seen just before follows a gap, whatever the stamps say
-    strange = track.usable & (track.overlap < LEAST_OVERLAP)
+    strange = track.usable & ~track.fits
     first = 1 + np.flatnonzero(strange[1:] & ~strange[:-1])
-    missing = gaps_between(recording.stamps_ns, track.usable)
+    missing = gaps_between(stamps_ns, track.usable)
     waited = np.unique(np.concatenate([missing, np.stack([first - 1, first], axis=1)]), axis=0)
-    for (before, after), fast in zip(waited, too_fast(recording, track, T, *waited.T), strict=True):
+    for (before, after), fast in zip(waited, evidence.too_fast(T, *waited.T), strict=True):
         step = int(np.searchsorted(keys, after)) - 1
         if not 0 <= step < len(keys) - 1:
             continue
-        agreed = agree(recording, track, before, after, T) and not fast
-        wait = seconds(int(recording.stamps_ns[after] - recording.stamps_ns[before]))
-        fits = track.overlap[after] >= LEAST_OVERLAP
+        agreed = evidence.agreed(T, before, after) and not fast
+        wait = seconds(int(stamps_ns[after] - stamps_ns[before]))
+        fits = track.fits[after]
         if not (agreed and fits and (wait < SHORT_S or sure[after])):
             broken[step] = True
             contradicted[step] |= not agreed

@@ -13,6 +13,7 @@ from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.pose_graph import WEAK, Poses, relative
 from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, Calibration
+from turtlebag.pipeline.slam.scans.align import possible
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery", "standstill")
 # How far scans and odometry may differ about a motion [m]; [rad], and as a share of the motion.
@@ -63,6 +64,11 @@ class Track:
     odometry_steps: Array | None
     calibration: Calibration
     usable: NDArray[np.bool_]
+
+    @property
+    def fits(self) -> NDArray[np.bool_]:
+        """Which scans (n,) match others at all."""
+        return possible(self.overlap)
 
 
 def blind(information: Array) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ odometry's systematic errors are learnt from the key scans on the way.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,9 +21,11 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.align import NEIGHBOURS
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correlative import Field, best_pose, make_field
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Key scans in the coarse search's field, and the size of its cells [m].
 FIELD_KEYS, FIELD_M = 30, 0.1
@@ -176,18 +178,11 @@ Maker = Callable[[Tracker], FrontEnd]
 """Makes a front end for a tracker whose last scan is the first that others can be matched with."""
 
 
-def track_log(
-    recording: Recording,
-    clouds: Clouds,
-    config: TrackingConfig,
-    max_range: float,
-    scans: Iterable[int],
-    make: Maker,
-) -> Track:
-    """Run a front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers)."""
-    tracker = Tracker(clouds, recording, config, max_range, make)
-    waits_s = seconds(np.diff(recording.stamps_ns)).tolist()
-    for scan in scans:
-        tracker.step(waits_s[scan - 1])
+def track_log(scans: Scans, config: TrackingConfig, make: Maker, progress: Progress = no_progress) -> Track:
+    """Run a front end over a log."""
+    tracker = Tracker(scans.clouds(), scans.recording, config, scans.usable_m, make)
+    waits_s = seconds(np.diff(scans.recording.stamps_ns)).tolist()
+    for step in progress(range(1, len(scans)), "matching scans", len(scans) - 1):
+        tracker.step(waits_s[step - 1])
     tracker.calibrate()
     return tracker.track()

@@ -20,10 +20,12 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.point_to_line import linearise, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
+from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square
 # of the range.
@@ -92,6 +94,14 @@ class RangeCalibration:
         ranges = np.maximum(np.linalg.norm(rays, axis=1), NOTHING_M)
         share = 1.0 - self.error(ranges) / ranges
         return rays * share[:, None], np.column_stack([1.0 - 2.0 * self.square_per_m * ranges, share])
+
+
+def range_errors(scans: Scans, track: Track) -> RangeCalibration:
+    """The range errors of a short-range lidar, by the key scans of a track; none of any other."""
+    if scans.recording.lidar.range_max > TRIANGULATES_M:
+        return RangeCalibration()
+    key_scans = scans.of_keys(track.keys)
+    return calibrate_ranges(*key_scans, track.T_track_base[track.keys], scans.usable_m)
 
 
 def calibrate_ranges(

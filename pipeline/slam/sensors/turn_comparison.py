@@ -24,8 +24,9 @@ from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajecto
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M, make_clouds
+from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
+from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.gyro_slip import turns_with
 
 # Delays considered [s].
@@ -292,8 +293,7 @@ def tracked_alone(
         odometry=None,
         imu=None,
     )
-    clouds = make_clouds(alone, USABLE_M, known_motion(late), noise)
-    return track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
+    return track_log(Scans(alone, USABLE_M, noise, known_motion(late)), TrackingConfig(), Lines)
 
 
 def thinning(recording: Recording) -> int:

@@ -1,4 +1,4 @@
-"""Requests for other bags of a recording, and for a session driven again."""
+"""Requests for other bags of a recording."""
 
 from __future__ import annotations
 
@@ -67,15 +67,3 @@ class RecoverRequest(Request):
     EXAMPLE = "turtlebag bag recover data/record.partial --out data/record"
 
     bag: Bag
-
-
-class ReplayRequest(Request):
-    """A session of the studio once more, without a page."""
-
-    VERB = "studio"
-    EXAMPLE = "turtlebag studio --replay data/session/session.yaml --out data/again"
-
-    session: Annotated[
-        Path,
-        file("FILE", "replay a session.yaml without a page; needs --out", "session.yaml", name="--replay"),
-    ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest, ReplayRequest
+from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.studio import StudioRequest
 
 KINDS: tuple[type[Request], ...] = (
     RecordRequest,
@@ -19,6 +20,6 @@ KINDS: tuple[type[Request], ...] = (
     CompareRequest,
     ConvertRequest,
     RecoverRequest,
-    ReplayRequest,
+    StudioRequest,
 )
 REQUESTS = {kind.VERB: kind for kind in KINDS}

@@ -12,12 +12,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from turtlebag.api.given import PathLike
 from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.command_line import said_of
+from turtlebag.pipeline.stages.requests.options import XYT
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import log, show_bars
@@ -78,8 +80,8 @@ def made(
 
 
 def takes(kind: type[Request], but: Sequence[str] = ()) -> Callable[[Step], Step]:
-    """Of a step whose other keyword arguments are fields of a request: they are shown in its signature and
-    its help. `but` are those that it does not take."""
+    """Of a step whose other keyword arguments are fields of a request: they are shown with their types in its
+    signature and its help. `but` are those that it does not take."""
 
     def decorated(step: Step) -> Step:
         signature = inspect.signature(step)
@@ -89,8 +91,14 @@ def takes(kind: type[Request], but: Sequence[str] = ()) -> Callable[[Step], Step
             for name, field in kind.model_fields.items()
             if name not in signature.parameters and name not in but
         }
+        types = get_type_hints(kind)
         shown = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.get_default())
+            inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=field.get_default(call_default_factory=True),
+                annotation=_type_text(types[name]),
+            )
             for name, field in fields.items()
         ]
         lines = (f"    {name}: {said_of(field)}" for name, field in fields.items())
@@ -99,6 +107,20 @@ def takes(kind: type[Request], but: Sequence[str] = ()) -> Callable[[Step], Step
         return step
 
     return decorated
+
+
+def _type_text(annotation: Any) -> str:
+    """A field's type as a step takes it: any path-like is a path, and an SE2 three numbers too."""
+    if get_origin(annotation) in (Union, UnionType):
+        return " | ".join(_type_text(one) for one in get_args(annotation))
+    text = "None" if annotation is NoneType else inspect.formatannotation(annotation)
+    for long, short in (
+        ("pathlib.Path", "PathLike"),
+        (inspect.formatannotation(XYT), "Pose"),
+        ("typing.", ""),
+    ):
+        text = text.replace(long, short)
+    return text
 
 
 @contextmanager
