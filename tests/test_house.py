@@ -12,6 +12,7 @@ LARGEST_FILE, LARGEST_FUNCTION, LARGEST_ROOM = 400, 60, 1400
 """Lines; a room is a folder of `pipeline/slam`."""
 SLAM = "pipeline/slam"
 FLOORS = (
+    ("progress",),
     ("scans",),
     ("graph",),
     ("odometry",),

@@ -54,12 +54,6 @@ def navigate(
     mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
     text = config_text(mission.config)
-    custom = {
-        "seed": str(request.seed),
-        "config_sha256": sha256_text(text),
-        "world": world.name,
-        "task": request.task,
-    }
     known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
     with (
@@ -68,7 +62,7 @@ def navigate(
         out.staged(save_bag=True) as folder,
     ):
         with (
-            BagWriter(folder / "bag", custom=custom) as bag,
+            BagWriter(folder / "bag", custom=_of_bag(world, request, text)) as bag,
             _overrides(mission) as overrides,
             simulated_time(known_s if request.task == "avoid" else None) as clock,
         ):
@@ -96,6 +90,16 @@ def navigate(
         )
     _report(mission, metrics, interrupted, out.folder)
     return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
+
+
+def _of_bag(world: World, request: Request, config: str) -> dict[str, str]:
+    """What the bag says of its run."""
+    return {
+        "seed": str(request.seed),
+        "config_sha256": sha256_text(config),
+        "world": world.name,
+        "task": request.task,
+    }
 
 
 def _write(folder: Path, episode: Episode, simulator: Simulator) -> None:
