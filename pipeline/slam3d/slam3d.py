@@ -16,10 +16,10 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig
 from turtlebag.pipeline.slam.mapper import Sensors
 from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE
-from turtlebag.pipeline.slam.odometry.track import carried_poses
 from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
 from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker

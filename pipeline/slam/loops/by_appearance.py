@@ -43,7 +43,7 @@ from turtlebag.pipeline.slam.loops.submaps import (
     similarity,
     windows,
 )
-from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_parts
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.track import blind
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
@@ -299,6 +299,25 @@ def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
     """The uncertainty of keys (n,) relative to another one [m], (n,)."""
     gathered = drift.along(keys, np.full(len(keys), other))
     return reach(read_at(gathered, drift.T_map_keys[keys]))[0]
+
+
+def joined_parts(
+    breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) without weight,
+    because their ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken
+    step that nothing contradicts still connects."""
+    segment = breaks.segments()
+    part = np.arange(segment[-1] + 1)
+    for i, j in joins:
+        part[part == part[segment[i]]] = part[segment[j]]
+    released = np.zeros(len(breaks.broken), dtype=bool)
+    for step in np.flatnonzero(breaks.broken).tolist():
+        one, two = part[segment[step]], part[segment[step + 1]]
+        released[step] = one == two
+        if not breaks.contradicted[step]:
+            part[part == two] = one
+    return np.asarray(part[segment]), released
 
 
 def join_parts(poses: Array, part: NDArray[np.int64], members: list[Loop]) -> tuple[Array, NDArray[np.int64]]:

@@ -8,7 +8,6 @@ elsewhere. Both determine how far off a place may be when the robot returns to i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,25 +68,6 @@ def joined_breaks(a: TrackBreaks, b: TrackBreaks, scans: int, *, broken: bool = 
         np.concatenate([a.alone, no, b.alone]),
         np.concatenate([a.gaps, b.gaps + scans]),
     )
-
-
-def joined_parts(
-    breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) without weight,
-    because their ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken
-    step that nothing contradicts still connects."""
-    segment = breaks.segments()
-    part = np.arange(segment[-1] + 1)
-    for i, j in joins:
-        part[part == part[segment[i]]] = part[segment[j]]
-    released = np.zeros(len(breaks.broken), dtype=bool)
-    for step in np.flatnonzero(breaks.broken).tolist():
-        one, two = part[segment[step]], part[segment[step + 1]]
-        released[step] = one == two
-        if not breaks.contradicted[step]:
-            part[part == two] = one
-    return np.asarray(part[segment]), released
 
 
 def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
