@@ -11,16 +11,18 @@ from tests.helpers.made_logs import office_plan, office_route
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, recording
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED
+from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
 from turtlebag.pipeline.slam.odometry.calibration import calibrate
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
-from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.scans.align import Prior, align
-from turtlebag.pipeline.slam.scans.clouds import make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.stages.localise import sweep_ends
