@@ -100,3 +100,9 @@ def test_constants_stay_in_the_module_that_uses_them():
     ]
     print(f"{len(taken)} constants of the mapper are imported from another module of it")
     assert len(taken) <= MOST_SHARED, "\n".join(taken)
+
+
+def test_the_mapper_reads_no_bags():
+    for path in SOURCES:
+        if name_of(path).startswith(f"{SLAM}/"):
+            assert not [name for name in imported(path) if name.startswith("datasets/bags/")], name_of(path)

@@ -9,7 +9,6 @@ from tests.helpers.exact_rays import ranges_to, rectangle
 from tests.helpers.made_drives import Sensor, Wheels, make_log, sick
 from tests.helpers.made_logs import office_plan, office_route
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, recording
-from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED
 from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
@@ -33,8 +32,8 @@ BACKWARDS = replace(TURNING, time_increment=-SWEEP_S / 360)
 SWEEPS = {
     "forwards": TURNING,
     "backwards": BACKWARDS,
-    "upside down": turned_over(TURNING),
-    "upside down and backwards": turned_over(BACKWARDS),
+    "upside down": TURNING.turned_over(),
+    "upside down and backwards": BACKWARDS.turned_over(),
 }
 FOUR_WALLS = rectangle(0.0, 0.0, 8.0, 6.0)
 T_BASE_LIDAR = SE2.from_xyt(0.1, 0.05, 0.4)

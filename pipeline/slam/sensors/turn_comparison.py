@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.motion import fastest, known_motion, way_and_turn, without_gap
 from turtlebag.datasets.robust import cauchy_cost, sigma_by_median
@@ -82,7 +81,7 @@ def in_step(recording: Recording, timing: Timing) -> Recording:
         said = (
             "scans and odometry turn in opposite directions: assuming the laser is mounted the other way up"
         )
-        recording = replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, said))
+        recording = replace(recording, lidar=recording.lidar.turned_over(), notes=(*recording.notes, said))
     recording = _shifted(recording, late_s) if late_s != 0.0 else recording
     return replace(recording, turned_over=not turns_with(recording)) if over else recording
 
@@ -129,7 +128,7 @@ def compared_turns(recording: Recording) -> Timing:
         turns = compared(lidar, late_s)
         found, against = delay_of(turns)
         if against and not over:
-            lidar, over = turned_over(lidar), True
+            lidar, over = lidar.turned_over(), True
             continue
         settled = lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
         late_s = found
