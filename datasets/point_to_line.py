@@ -23,23 +23,23 @@ def linearise(
     line: tuple[float, float, float, float],
     inv_sigma2: float,
 ) -> tuple[float, float, Jacobian]:
-    """Distance e [m] of a scan's point from a line, its robust weight w [1/m^2] and its derivative j (3,).
+    """Distance e [m] of a scan's point from a line, its robust weight w (0 to 1) and its derivative j (3,).
 
     T = T_line_scan is x, y, and the cosine and sine of the yaw; the point p is in the frame of the scan, the
     line, its unit normal n and a point c on it, in its own. `inv_sigma2` is 1 / s^2 [1/m^2].
 
     (1) e = n . (T p - c)
-    (2) w = 1 / s^2 (1 + e^2 / s^2)^-2, after Geman and McClure: s off, a point counts a quarter
-    (3) H = sum of w j j^T is the information about a motion (x, y, yaw) of the scan in its own frame, with
-        j = (n', p x n'), n' = R^T n; with g = sum of w j e, the Gauss-Newton step is -H^-1 g. What errors of
-        the normals fake in H is taken out by `observable`.
+    (2) w = (1 + e^2 / s^2)^-2, after Geman and McClure: s off, a point counts a quarter
+    (3) j = (n', p x n') with n' = R^T n, by a motion (x, y, yaw) of the scan in its own frame. H = sum of
+        w/s^2 j j^T is the information about that motion, less what errors of the normals fake (`observable`);
+        with g = sum of w/s^2 j e, the Gauss-Newton step is -H^-1 g.
     """
     (tx, ty, c, s), (px, py), (nx, ny, cx, cy) = T_line_scan, point, line
     x, y = tx + c * px - s * py, ty + s * px + c * py
     e = nx * (x - cx) + ny * (y - cy)
     bx, by = c * nx + s * ny, -s * nx + c * ny
     w = 1.0 / (1.0 + e * e * inv_sigma2)
-    return e, w * w * inv_sigma2, (bx, by, by * px - bx * py)
+    return e, w * w, (bx, by, by * px - bx * py)
 
 
 @njit(cache=True, forceinline=True, _nrt=False)

@@ -152,9 +152,9 @@ def match_beams(
 
     The residual e of a beam is the distance of its end point from the surface, which stands by the `offset`
     of its patch along the normal from where its cells are; the Jacobian j is with respect to the pose (x, y,
-    yaw). Columns: the upper triangle of w j j^T (6), w j (3) and w (1); then w j e (3) and w e (1). Residuals
-    are those of `linearise`, and its weight with s = `scale` [m] as a share, 1 for a beam on its surface; all
-    beams on one patch together weigh at most `patch_beams`.
+    yaw). Columns: the upper triangle of w j j^T (6), w j (3) and w (1); then w j e (3) and w e (1). Residual
+    and weight are those of `linearise`, with s = `scale` [m]; all beams on one patch together weigh at most
+    `patch_beams`.
     """
     points, normals, nearest = surfaces.points, surfaces.normals, surfaces.nearest
     n, per_metre = len(beams), 1.0 / surfaces.resolution
@@ -178,7 +178,7 @@ def match_beams(
         line = (nx, ny, points[k, 0] + offsets[p] * nx, points[k, 1] + offsets[p] * ny)
         end = (beams[i, 0], beams[i, 1])
         residual[i], w, j = linearise((pose[0], pose[1], c, s), end, line, 1.0 / (scale * scale))
-        seen[i], weight[i] = p, surfaces.trust[k] * w * scale * scale
+        seen[i], weight[i] = p, surfaces.trust[k] * w
         # by a motion along the axes of the surfaces, not of the robot
         jac[i, 0], jac[i, 1], jac[i, 2] = nx, ny, j[2]
         mass[p] += weight[i]

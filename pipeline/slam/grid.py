@@ -1,7 +1,7 @@
 """Occupancy grid from posed scans: hits and misses along every beam, also those without return.
 
 The reflectance model of Haehnel (2004), in the line of Moravec and Elfes (1985): a cell is occupied when
-enough of the beams that met it were returned by it (docs/how-it-maps.md, eq. 6). Unlike summed log-odds this
+enough of the beams that met it were returned by it. Unlike summed log-odds this
 keeps a wall that many beams graze. Beams without return (+inf) clear in a second pass, up to the first
 surface. Cells are rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed or counted
 twice.

@@ -54,7 +54,7 @@ def test_the_other_derivative_is_by_a_motion_of_the_line(seed):
 @pytest.mark.parametrize(("off_sigmas", "weight"), [(0.0, 1.0), (1.0, 0.25), (-1.0, 0.25), (3.0, 0.01)])
 def test_a_point_one_sigma_off_counts_a_quarter(off_sigmas, weight):
     e, w, j = of((0.0, 0.0, 0.0), (2.0, 0.05 * off_sigmas), (0.0, 1.0), (1.0, 0.0), 1.0 / 0.05**2)
-    assert (e, w) == pytest.approx((0.05 * off_sigmas, weight / 0.05**2))
+    assert (e, w) == pytest.approx((0.05 * off_sigmas, weight))
     assert j == pytest.approx((0.0, 1.0, 2.0))
 
 

@@ -19,7 +19,7 @@ from turtlebag.pipeline.slam.graph.back_end import BackEnd
 from turtlebag.pipeline.slam.graph.edits import KeyEdits
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import Gtsam, Poses, optimise
-from turtlebag.pipeline.slam.scans.align import of_match
+from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
 from turtlebag.pipeline.slam.scans.pairs import alike_within, match_pairs, overlapping_pairs, partner_radius
@@ -83,7 +83,9 @@ def pair_constraints(
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
     found = match_pairs(clouds, keys, T_map_keys, pairs, limits)
     return [
-        Constraint(i, j, found.T_i_j[k], of_match(found.information[k]), Kind.PAIR, Constraint.CAUCHY)
+        Constraint(
+            i, j, found.T_i_j[k], match_information(found.information[k]), Kind.PAIR, Constraint.CAUCHY
+        )
         for k, (i, j) in enumerate(pairs.tolist())
         if found.possible[k]
     ]

@@ -1,8 +1,8 @@
 """Pairwise consistency of recognised places (PCM), and the largest consistent sets.
 
 Mangelson et al. (2018): two places recognised by two submaps are consistent if the cycle through both closes
-within the drift between them (docs/how-it-maps.md, eq. 5). True places are consistent with all other true
-ones; false ones in a repetitive building with fewer.
+within the drift between them. True places are consistent with all other true ones; false ones in a
+repetitive building with fewer.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.robust import cauchy_weight, sigma_by_median
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
-from turtlebag.pipeline.slam.scans.align import of_match
+from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
 from turtlebag.pipeline.slam.scans.pairs import PairMatches, match_pairs
@@ -92,7 +92,7 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     good = found.possible
     if not good.any():
         return Calibration()
-    return fit_shares(steps, pairs[good], found.T_i_j[good], of_match(found.information[good]))
+    return fit_shares(steps, pairs[good], found.T_i_j[good], match_information(found.information[good]))
 
 
 def baselines(steps: Array) -> Array:

@@ -100,7 +100,7 @@ def possible(overlap: Array | float) -> NDArray[np.bool_]:
     return np.asarray(overlap) >= LEAST_OVERLAP
 
 
-def of_match(information: Array) -> Array:
+def match_information(information: Array) -> Array:
     """Information (..., 3, 3) of scans by their points as that of matches: the points err together, and a
     match is worth far less than their sum."""
     return information / STEP_COVARIANCE_SCALE

@@ -154,7 +154,7 @@ def equation(
     inv_s2: float,
     reach: float,
 ) -> tuple[float, float, Jacobian]:
-    """`linearise` of point `r` and the line of a row: e, w, j. No weight where there is no line
+    """`linearise` of point `r` and the line of a row: e, w/s^2, j. No weight where there is no line
     (-1), where the two surfaces face different ways, or where they are farther apart than `reach` [m]."""
     if row < 0:
         return 0.0, 0.0, (0.0, 0.0, 0.0)
@@ -163,7 +163,7 @@ def equation(
     e, w, j = linearise(T_key_scan, (points[r, 0], points[r, 1]), line, inv_s2)
     if j[0] * normals[r, 0] + j[1] * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
         return 0.0, 0.0, j
-    return e, w, j
+    return e, w * inv_s2, j
 
 
 @njit(cache=True, forceinline=True, _nrt=False)
