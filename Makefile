@@ -131,8 +131,8 @@ bench-studio: $(READY) ## the studio: how late its frames are, bytes, speed with
 	$(PY) -m benchmarks.studio $(if $(MINUTES),--minutes $(MINUTES))
 bench-install: $(READY) ## the wheel and all it needs from the index, beside `datasets`, and the chain   (FOR=python3.12)
 	TURTLEBAG_INSTALL_FOR=$(or $(FOR),$(PYTHON)) $(PY) -m pytest tests/test_wheel.py -k index
-bench-bags: $(READY) ## bags cut and flipped, and every command killed
-	TURTLEBAG_DAMAGES=500 TURTLEBAG_KILLS=10 $(PY) -m pytest tests/datasets/test_bag_damage.py tests/stages/test_kills.py
+bench-bags: $(READY) ## bags cut and flipped, inputs of all kinds broken, and every command killed
+	TURTLEBAG_DAMAGES=500 TURTLEBAG_KILLS=10 TURTLEBAG_TRIES=100 $(PY) -m pytest tests/datasets/test_bag_damage.py tests/cli/test_fuzz.py tests/stages/test_kills.py
 bench-front-ends: $(READY) ## all logs x all front ends x all seeds, a campaign that resumes (TURTLEBAG_DATA=folder of the public logs)
 	cd $${TURTLEBAG_DATA:?names no folder of public logs} && $(CURDIR)/$(TURTLEBAG) sweep $(CURDIR)/benchmarks/front_ends.yaml --out $(CURDIR)/data/benchmarks/front_ends
 bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question to a million rows

@@ -89,16 +89,16 @@ def pull(ground: Ground, path: Array, first_yaw: float, last_yaw: float) -> tupl
     count, at, yaw = 1, 0, first_yaw
     last = len(path) - 1
     while at < last:
-        target, found = last, np.nan
+        target, heading = last, np.nan
         while target > at:
-            found = _straight(ground, path, at, target, yaw, last_yaw)
-            if not np.isnan(found) or target == at + 1:
+            heading = _straight(ground, path, at, target, yaw, last_yaw)
+            if not np.isnan(heading) or target == at + 1:
                 break
             target -= 1
-        if np.isnan(found):
-            found = math.atan2(path[target, 1] - path[at, 1], path[target, 0] - path[at, 0])
-        kept[count], yaws[count - 1] = path[target], found
-        count, at, yaw = count + 1, target, found
+        if np.isnan(heading):
+            heading = math.atan2(path[target, 1] - path[at, 1], path[target, 0] - path[at, 0])
+        kept[count], yaws[count - 1] = path[target], heading
+        count, at, yaw = count + 1, target, heading
     return kept[:count].copy(), yaws[: count - 1].copy()
 
 

@@ -98,18 +98,18 @@ def step_yaws(points: Array, headings: NDArray[np.int64], first: float, last: fl
 
     With `slip` the first and the last step may go to the side, in the heading the robot has there.
     """
-    known = np.concatenate([[first], np.where(headings >= 0, YAWS[headings], np.nan), [last]])
+    around = np.concatenate([[first], np.where(headings >= 0, YAWS[headings], np.nan), [last]])
     ahead = np.diff(points, axis=0)
     yaws = np.arctan2(ahead[:, 1], ahead[:, 0])
-    told = np.where(np.isnan(known[1:]), known[:-1], known[1:])
-    told[-1] = known[-2] if np.isfinite(known[-2]) else last
-    told = np.where(np.isnan(told), yaws, told)
-    along = np.cos(yaws - told)
+    robot = np.where(np.isnan(around[1:]), around[:-1], around[1:])
+    robot[-1] = around[-2] if np.isfinite(around[-2]) else last
+    robot = np.where(np.isnan(robot), yaws, robot)
+    along = np.cos(yaws - robot)
     out = np.where(along < 0.0, yaws + math.pi, yaws)
     moved = np.linalg.norm(ahead, axis=1) > 1e-9
     for k in (0, -1) if slip else ():
         moved[k] &= abs(along[k]) > SIDEWAYS
-    return np.where(moved, out, told)
+    return np.where(moved, out, robot)
 
 
 def drive_poses(kept: Array, headings: Array, angles: Array, spacing: float) -> SE2:
@@ -119,7 +119,7 @@ def drive_poses(kept: Array, headings: Array, angles: Array, spacing: float) -> 
     """
     xyt = [[*kept[0], headings[0]]]
     for k, angle in enumerate(angles):
-        if abs(angle) > math.pi:  # the long way round, said step by step
+        if abs(angle) > math.pi:  # the long way round, step by step
             xyt += [[*kept[k], headings[k] + angle * i / 3.0] for i in range(0 if k else 1, 3)]
         if k == len(kept) - 1:
             break

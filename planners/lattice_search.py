@@ -166,17 +166,17 @@ def stands_free(floor: Floor, r: int, c: int, k: int, to: int) -> bool:
     number = floor.numbers[r, c]
     if number < 0:
         return bool(number == WIDE)
-    known = floor.stands if to == k else floor.turns
+    memo = floor.stands if to == k else floor.turns
     at = number * len(floor.yaws) + k
-    if known[at] == 0:
+    if memo[at] == 0:
         field, res, corners = floor.ground
         x, y, yaw = (c + 0.5) * res, (r + 0.5) * res, floor.yaws[k]
         if to == k:
             free = footprint_free(field, res, corners, x, y, yaw)
         else:
             free = moves(floor.ground, (x, y, yaw), (x, y, floor.yaws[to]))
-        known[at] = 1 if free else 2
-    return bool(known[at] == 1)
+        memo[at] = 1 if free else 2
+    return bool(memo[at] == 1)
 
 
 @njit(cache=True)

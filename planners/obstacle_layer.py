@@ -23,7 +23,7 @@ class Marking(NamedTuple):
 
     obstacle_range: float = 2.5
     """Beams that end farther away do not mark."""
-    known: float = 0.14
+    wall_margin: float = 0.14
     """A beam that ends this near an obstacle of the map does not mark."""
     decay: float = 8.0
     """Seconds after which a mark expires unless it is seen again."""
@@ -60,7 +60,7 @@ class ObstacleLayer:
         static, c = self.static, self.marking
         x, y = (static.T_grid_map @ origin.xy).tolist()
         ends = static.T_grid_map @ np.concatenate([hits, passes])
-        beams = GridBeams(x, y, ends, len(hits), c.obstacle_range, c.known)
+        beams = GridBeams(x, y, ends, len(hits), c.obstacle_range, c.wall_margin)
         mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
         marked = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
         self._hits[self._seen <= now_s - c.decay] = 0
@@ -118,7 +118,7 @@ class GridBeams(NamedTuple):
     ends: Array
     n_hits: int
     obstacle_range: float
-    known: float
+    wall_margin: float
 
 
 @njit(cache=True)
@@ -133,7 +133,7 @@ def mark_and_clear(
     """Walk along each beam in half-cell steps and clear; then mark its end, unless it is an obstacle of the
     map."""
     rows, cols = seen.shape
-    x, y, ends, n_hits, obstacle_range, known = beams
+    x, y, ends, n_hits, obstacle_range, wall_margin = beams
     for k in range(len(ends)):
         dx, dy = ends[k, 0] - x, ends[k, 1] - y
         length = math.hypot(dx, dy)
@@ -152,7 +152,7 @@ def mark_and_clear(
         if math.hypot(ends[k, 0] - x, ends[k, 1] - y) > obstacle_range:
             continue
         col, row = math.floor(ends[k, 0] / resolution), math.floor(ends[k, 1] / resolution)
-        if 0 <= row < rows and 0 <= col < cols and clearance[row, col] > known:
+        if 0 <= row < rows and 0 <= col < cols and clearance[row, col] > wall_margin:
             if seen[row, col] < now_s:
                 hits[row, col] = min(hits[row, col] + 1, 1000)
             seen[row, col] = now_s

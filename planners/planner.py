@@ -11,15 +11,15 @@ from turtlebag.planners.costmap import Costmap
 
 
 class NoPath(Exception):
-    """There is no path, or none was found; the text says which and why."""
+    """There is no path, or the search ended without one; the text says which and why."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A path in the map frame, (n,) poses from start to goal, and its origin.
 
-    `length` [m]; `margin` [m] is the guaranteed clearance of the footprint. `planner` is the
-    planner that found it: the requested one, or a fallback.
+    `length` [m]; `margin` [m] is the guaranteed clearance of the footprint. `planner` is its
+    planner: the requested one, or a fallback.
     """
 
     poses: SE2

@@ -1,6 +1,6 @@
 """The rolling costmap: an obstacle layer in a window of fixed size that moves with the robot.
 
-Only the scans are known; beyond the window everything counts as free. For a goal beyond it, the robot
+Nothing is on a map; beyond the window everything counts as free. For a goal beyond it, the robot
 first drives to a point on the window's edge.
 """
 
@@ -21,7 +21,7 @@ RIM_M = 0.8
 """Intermediate goals lie this far inside the window: its edge counts as an obstacle (not measured)."""
 
 
-IN_WINDOW = Marking(known=0.0, decay=60.0, obstacle_range=6.0, replan_s=0.3)
+IN_WINDOW = Marking(wall_margin=0.0, decay=60.0, obstacle_range=6.0, replan_s=0.3)
 """No static map, and always something new to see."""
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.point_to_line import linearise
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.localisation.small_matrices import multiply, solve
 from turtlebag.pipeline.localisation.surfaces import Indices, Surfaces
@@ -149,11 +150,11 @@ def match_beams(
 ) -> tuple[Array, Array]:
     """Sums over the beams of each patch: second order terms (patches, 10), first order ones (patches, 4).
 
-    The residual of a beam is the distance of its end point along the surface's normal from the surface,
-    less the `offset` of its patch; the Jacobian j is with respect to the pose (x, y, yaw). Columns:
-    the upper triangle of w j j^T (6), w j (3) and w (1); then w j r (3) and w r (1). Robust weights:
-    Geman-McClure, a beam that is `scale` [m] off counts a quarter; all beams on one patch together
-    weigh at most `patch_beams`.
+    The residual e of a beam is the distance of its end point from the surface, which stands by the `offset`
+    of its patch along the normal from where its cells are; the Jacobian j is with respect to the pose (x, y,
+    yaw). Columns: the upper triangle of w j j^T (6), w j (3) and w (1); then w j e (3) and w e (1). Residual
+    and weight are those of `linearise`, with s = `scale` [m]; all beams on one patch together weigh at most
+    `patch_beams`.
     """
     points, normals, nearest = surfaces.points, surfaces.normals, surfaces.nearest
     n, per_metre = len(beams), 1.0 / surfaces.resolution
@@ -174,10 +175,12 @@ def match_beams(
         if nx * dx + ny * dy > 0.0:
             continue  # this face looks away from the robot: the far side of a thin wall
         p = surfaces.patch[k]
-        residual[i] = (x - points[k, 0]) * nx + (y - points[k, 1]) * ny - offsets[p]
-        seen[i] = p
-        jac[i, 0], jac[i, 1], jac[i, 2] = nx, ny, ny * dx - nx * dy
-        weight[i] = surfaces.trust[k] / (1.0 + (residual[i] / scale) ** 2) ** 2
+        line = (nx, ny, points[k, 0] + offsets[p] * nx, points[k, 1] + offsets[p] * ny)
+        end = (beams[i, 0], beams[i, 1])
+        residual[i], w, j = linearise((pose[0], pose[1], c, s), end, line, 1.0 / (scale * scale))
+        seen[i], weight[i] = p, surfaces.trust[k] * w
+        # by a motion along the axes of the surfaces, not of the robot
+        jac[i, 0], jac[i, 1], jac[i, 2] = nx, ny, j[2]
         mass[p] += weight[i]
     sums, right = np.zeros((len(offsets), 10)), np.zeros((len(offsets), 4))
     for i in range(n):

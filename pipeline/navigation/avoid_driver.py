@@ -8,6 +8,7 @@ from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
+from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.control.controller import SpeedLimits, ramped
 from turtlebag.planners.tasks.sector_rule import AvoidConfig, Decision, decision_line, tutorial_rule
@@ -26,7 +27,8 @@ class AvoidDriver(Driver):
         say: Callable[[str], None],
     ) -> None:
         super().__init__(sensing)
-        self._avoidance = GuardedAvoidance(model) if config.mode == "guarded" else None
+        guarded = config.mode == "guarded"
+        self._avoidance = GuardedAvoidance(model, ObstacleMemory(model)) if guarded else None
         self._limits = SpeedLimits.of(model, PERIOD_S)
         self._duration_ns = nanoseconds(duration_s)
         self._say = say

@@ -11,7 +11,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.localisation.localisers import LocaliserName
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.explore_driver import ExploreConfig
-from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
+from turtlebag.pipeline.navigation.pose_watch import RelocaliseConfig
 from turtlebag.pipeline.navigation.teleop_override import TeleopOverrideConfig
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig

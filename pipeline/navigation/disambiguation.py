@@ -33,7 +33,7 @@ with 2.5 m 53."""
 
 
 class Disambiguation:
-    """One drive, from where hypotheses were found until one of them is left."""
+    """One drive, from the first set of hypotheses until one of them is left."""
 
     def __init__(self, aliasing: Aliasing, poses: Sequence[SE2], tools: Tools, now_ns: int) -> None:
         both = passable_under_all(tools.obstacles.static, poses)
@@ -52,7 +52,7 @@ class Disambiguation:
         self._began_ns = now_ns
         self._visited: list[Array] = []
         self._runner: GoalRunner | None = None
-        self._in_vain: Array | None = None  # where no place was found (2,)
+        self._in_vain: Array | None = None  # where there was no place to go to (2,)
 
     def rest(self) -> None:
         """A teleop override has ended."""

@@ -24,10 +24,10 @@ from turtlebag.pipeline.navigation.drivers import (
     make_mapless,
     make_navigator,
 )
+from turtlebag.pipeline.navigation.goal_states import State
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.teleop_override import load_script
 from turtlebag.pipeline.terminal.messages import log_notes, note_degrees
@@ -139,12 +139,12 @@ def _places(request: Request) -> WaypointFile:
         return WaypointFile((Waypoint(request.goal, "", (x, y, yaw)),))
     if request.waypoints_path is None:
         return tutorial_patrol()
-    found = load_waypoints(request.waypoints_path)
-    log_notes(found.notes)
-    for number, waypoint in enumerate(found.waypoints, start=1):
+    places = load_waypoints(request.waypoints_path)
+    log_notes(places.notes)
+    for number, waypoint in enumerate(places.waypoints, start=1):
         if waypoint.T_map_goal is not None:
             note_degrees(f"waypoint {number}", waypoint.written[2])
-    return found
+    return places
 
 
 def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
@@ -180,7 +180,7 @@ def make_driver(
     if mission.grid is None or mission.costmap is None:
         return make_mapless(kit, T_odom_base, sequence), None, sequence
     wiggles = request.initial_pose is not None and (request.wiggle or request.initial_pose == "global")
-    state = State.WIGGLE if wiggles else State.DRIVE
+    state = State.WIGGLE if wiggles else State.WAIT
     driver, localiser = make_navigator(kit, mission.grid, mission.costmap, sequence, state)
     localiser.tell(request.initial_pose, T_odom_base)
     publisher.map(first.stamp_ns, mission.grid)

@@ -20,12 +20,14 @@ from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.goal_runner import Tools
+from turtlebag.pipeline.navigation.goal_states import Machine, State
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.pose_watch import PoseWatch
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
-from turtlebag.pipeline.navigation.relocalisation_states import RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.control.controller import Controller
@@ -70,7 +72,7 @@ class Kit:
 
 
 def make_navigator(
-    kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.DRIVE
+    kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.WAIT
 ) -> tuple[NavigationDriver, OnlineLocaliser]:
     """A driver on a map, and its localiser, not yet initialised."""
     config, robot = kit.config, kit.robot
@@ -80,16 +82,17 @@ def make_navigator(
     localiser = OnlineLocaliser(amcl, kit.sensing.odometry, kit.publisher)
     tools = kit.tools(ObstacleLayer(costmap))
     search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
+    memory = ObstacleMemory(robot.model)
     # The stream's name is part of the seed: another name would be other random numbers.
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))
     relocaliser = Relocaliser(
-        RelocalisationStates(config.relocalise, state),
+        PoseWatch(config.relocalise, Machine(state)),
         localiser,
         aliasing,
         tools,
-        GuardedAvoidance(robot.model),
+        GuardedAvoidance(robot.model, memory),
     )
-    return NavigationDriver(tools, kit.sensing, sequence, relocaliser), localiser
+    return NavigationDriver(tools, kit.sensing, sequence, memory, relocaliser), localiser
 
 
 def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:
@@ -99,7 +102,8 @@ def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> Navigati
     own = {"controller": m.controller, "recovery": m.recovery, "plan": plan}
     config = kit.config.model_copy(update=own)
     window = RollingLayer(T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M)
-    return NavigationDriver(kit.tools(window, config), kit.sensing, sequence)
+    tools, memory = kit.tools(window, config), ObstacleMemory(kit.robot.model)
+    return NavigationDriver(tools, kit.sensing, sequence, memory)
 
 
 def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:

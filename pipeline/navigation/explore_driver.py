@@ -12,9 +12,10 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.navigation.bump_memory import BumpMemory
+from turtlebag.pipeline.navigation.bump_reflex import BumpReflex
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
+from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.pipeline.slam.mapper import SlamConfig
@@ -52,7 +53,8 @@ class ExploreDriver(Driver):
         self.online = online
         self._config, self.tools = config, tools
         self._end_ns = nanoseconds(duration_s)
-        self._bumps = BumpMemory(tools.model)
+        self._memory = ObstacleMemory(tools.model)
+        self._reflex = BumpReflex(self._memory)
         self._way: _Way | None = None
         self._spent: list[Array] = []
 
@@ -104,10 +106,10 @@ class ExploreDriver(Driver):
     def _back_off(self, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""
         T_odom_base, T_map_odom = observation.odometry.T_odom_base, self.online.T_map_odom
-        if sweep is not None and self._bumps.noticed(sweep, T_odom_base, self._last, 0.0, T_map_odom):
+        if sweep is not None and self._reflex.triggered(sweep, T_odom_base, self._last, 0.0, T_map_odom):
             self.online.distrust()
             self._way = None
-        wanted = self._bumps.escaping(observation.stamp_ns, T_odom_base)
+        wanted = self._reflex.command(observation.stamp_ns, T_odom_base)
         if wanted is None:
             return None
         self.state = "back_off"
@@ -122,7 +124,7 @@ class ExploreDriver(Driver):
         publisher.map(now, grid)
         publisher.map_to_odom(now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
-        costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config), now)
+        costmap = self._memory.kept_out(costmap_from_grid(grid, self._config), now)
         radius = self.tools.model.circumscribed_radius + PADDING_M
         goal = next_view(grid, costmap, self.estimate, radius, self._spent)
         if goal is None:

@@ -12,6 +12,7 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.pipeline.navigation.goal_states import Event, Machine, State
 from turtlebag.planners.control.collision_monitor import PADDING_M, CollisionMonitor, moved
 from turtlebag.planners.control.controller import Controller
 from turtlebag.planners.control.goal_checker import STOPPED_V, STOPPED_W, GoalChecker, GoalCheckerConfig
@@ -113,38 +114,54 @@ class _Recovery:
     def __init__(self, tools: Tools) -> None:
         self.ladder = Ladder(tools.recovery, tools.obstacles.clear)
         self.watch = ProgressWatch(tools.recovery.stuck_time)
-        self.manoeuvre: Manoeuvre | None = None
+        self._manoeuvre: Manoeuvre | None = None
         self._tools = tools
         self._driven = 0.0
         self._at: SE2 | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the manoeuvre under way, for the run log."""
+        return "" if self._manoeuvre is None else self._manoeuvre.name
 
     def note(self, pose: SE2) -> None:
         """Count the distance driven: after enough of it the sequence starts over."""
         if self._at is not None:
             self._driven += float(np.linalg.norm(pose.xy - self._at.xy))
         self._at = pose
-        if self._driven > PROGRESS_M and self.manoeuvre is None:
+        if self._driven > PROGRESS_M and self._manoeuvre is None:
             self._driven = 0.0
             self.ladder.rest()
 
-    def start(self, tick: Tick, trouble: str) -> Verdict | None:
-        """The next manoeuvre; a verdict when there is none left."""
+    def start(self, tick: Tick) -> bool:
+        """Begin the next manoeuvre, if there is one left."""
         self.watch.reset()
         self._driven = 0.0
         room = functools.partial(self._tools.room_after, tick=tick)
-        self.manoeuvre = self.ladder.climb(tick.now_ns, tick.pose, room)
-        if self.manoeuvre is None:
-            return Verdict("unreachable", f"{trouble}; given up after {self.ladder.used} recoveries")
-        return None
+        self._manoeuvre = self.ladder.climb(tick.now_ns, tick.pose, room)
+        return self._manoeuvre is not None
+
+    def command(self, tick: Tick) -> Twist | None:
+        """The manoeuvre's command; None when it is over."""
+        command = None if self._manoeuvre is None else self._manoeuvre.command(tick.now_ns, tick.pose)
+        if command is None:
+            self._manoeuvre = None
+            self.watch.reset()
+        return command
 
 
 class GoalRunner:
-    """One goal, in the frame of the obstacle layer's costmap."""
+    """One goal, in the frame of the obstacle layer's costmap.
 
-    def __init__(self, tools: Tools, goal: SE2, seed: int) -> None:
+    It drives the machine through the states of `PURSUE`; one that has none of its own begins in `PLAN`.
+    """
+
+    def __init__(self, tools: Tools, goal: SE2, seed: int, machine: Machine | None = None) -> None:
         self.tools = tools
         self.goal = goal
-        self.state = "plan"
+        self.state = State.PLAN.value
+        """What it was doing in the last tick, for the run log."""
+        self._machine = machine or Machine(State.PLAN)
         self._seed = seed
         self._plans = 0
         self._checker = GoalChecker(tools.checker, goal)
@@ -153,20 +170,21 @@ class GoalRunner:
 
     def step(self, tick: Tick) -> tuple[Twist, Verdict | None]:
         """The next command, and the verdict when the pursuit is over."""
-        controller, recovery = self.tools.controller, self._recovery
+        controller, recovery, machine = self.tools.controller, self._recovery, self._machine
         recovery.note(tick.pose)
         if self._checker.reached(tick.now_ns, tick.pose, tick.measured):
             return controller.brake(tick.last), Verdict("reached")
-        if recovery.manoeuvre is not None:
-            wanted = recovery.manoeuvre.command(tick.now_ns, tick.pose)
+        if machine.within(State.RECOVER):
+            wanted = recovery.command(tick)
             if wanted is not None:
-                self.state = recovery.manoeuvre.name
+                self.state = recovery.name
                 return self._guarded(wanted, tick), None
-            recovery.manoeuvre, self._route = None, None
-            recovery.watch.reset()
-        if self._route is None or (tick.new_sweep and self._blocked(self._route, tick)):
-            verdict = self._replan(tick)
-            if verdict is not None or self._route is None:
+            machine.on(Event.RECOVERY)
+        elif self._route is not None and tick.new_sweep and self._blocked(self._route, tick):
+            machine.on(Event.OBSTACLE)
+        if machine.state is State.PLAN:
+            verdict = self._plan(tick)
+            if verdict is not None or machine.state is not State.FOLLOW:
                 return controller.brake(tick.last), verdict
         wanted = controller.command(tick.pose, tick.last, self.tools.obstacles.costmap)
         self.state = controller.state
@@ -181,7 +199,7 @@ class GoalRunner:
         """Time passes in which the robot is not supposed to move."""
         self._recovery.watch.reset()
 
-    def _replan(self, tick: Tick) -> Verdict | None:
+    def _plan(self, tick: Tick) -> Verdict | None:
         """Plan a new path; without one the robot recovers, or gives up if there never was one."""
         t, self._route = self.tools, None
         self._plans += 1
@@ -192,13 +210,14 @@ class GoalRunner:
             seed = self._seed + 1000 * self._plans
             plan = plan_path(t.obstacles.costmap, t.model, tick.pose, aim, t.plan, seed)
         except NoPath as error:
-            self.state = "plan"
+            self.state = State.PLAN.value
             if not t.obstacles.marked:
                 return Verdict("unreachable", str(error))
-            return self._recovery.start(tick, f"blocked by an unmapped obstacle: {error}")
+            return self._recover(tick, f"blocked by an unmapped obstacle: {error}")
         self._route = _Route(plan.poses, tick.now_ns, t.obstacles.static, t.obstacles.stands_in(self.goal))
         t.controller.set_path(plan.poses)
         t.publisher.plan(tick.now_ns, plan.poses)
+        self._machine.on(Event.PATH)
         return None
 
     def _blocked(self, route: _Route, tick: Tick) -> bool:
@@ -222,17 +241,30 @@ class GoalRunner:
 
     def _guarded(self, wanted: Twist, tick: Tick) -> Twist:
         """The command as limited by the collision monitor."""
-        factor = self.tools.passed(wanted, tick)
+        factor, machine = self.tools.passed(wanted, tick), self._machine
+        if factor == 0.0:
+            machine.on(Event.STOP)
+            self.state = State.HELD.value
+        elif machine.state in (State.HELD, State.RECOVER_HELD):
+            machine.on(Event.RELEASE)
         if factor >= 1.0:
             return wanted
-        self.state = "held" if factor == 0.0 else self.state
         return self.tools.controller.ramp(Twist(wanted.v * factor, wanted.w * factor), tick.last)
 
     def _held_up(self, tick: Tick, wanted: Twist) -> Verdict | None:
         """Recovery if the monitor holds the robot, or if it makes no progress."""
         moving = abs(wanted.v) > STOPPED_V or abs(wanted.w) > STOPPED_W
         if moving and self._recovery.watch.stuck(tick.now_ns, tick.pose):
-            return self._recovery.start(tick, "stuck: the robot made no progress")
+            return self._recover(tick, "stuck: the robot made no progress")
         if not moving:
             self._recovery.watch.reset()
+        return None
+
+    def _recover(self, tick: Tick, trouble: str) -> Verdict | None:
+        """Begin the next manoeuvre; a verdict when there is none left."""
+        if not self._recovery.start(tick):
+            used = self._recovery.ladder.used
+            return Verdict("unreachable", f"{trouble}; given up after {used} recoveries")
+        self._route = None
+        self._machine.on(Event.TROUBLE)
         return None

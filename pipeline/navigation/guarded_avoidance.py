@@ -13,7 +13,8 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.navigation.bump_memory import BACK_OFF_M, BumpMemory, Escape
+from turtlebag.pipeline.navigation.bump_reflex import BACK_OFF_M, BumpReflex, Escape
+from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.tasks.recovery import ProgressWatch
@@ -35,14 +36,14 @@ RESTLESS_S, RESTLESS_M = 19.9, 0.4
 class GuardedAvoidance:
     """Decides at every sweep, and watches over every command."""
 
-    def __init__(self, model: RobotModel) -> None:
+    def __init__(self, model: RobotModel, memory: ObstacleMemory) -> None:
         self.monitor = CollisionMonitor(model)
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + SIDE_ROOM_M
         self._nose = float(model.footprint[:, 0].max())
         self.turning = 0.0
         """The side that it turns to until the way is free: 1 left, -1 right, 0 neither."""
         self._flips = 0
-        self._bumps = BumpMemory(model)
+        self._memory, self._reflex = memory, BumpReflex(memory)
         self._progress = ProgressWatch(RESTLESS_S, RESTLESS_M, math.inf)
         self.decision = Decision("hold", Twist())
         """What was decided at the newest sweep."""
@@ -52,7 +53,7 @@ class GuardedAvoidance:
         self._progress.reset()
         self.decision = Decision("hold", Twist())
         self.turning, self._flips = 0.0, 0
-        self._bumps.interrupted()
+        self._reflex.interrupt()
 
     def command(self, sweep: DeskewedScan, T_odom_base: SE2, last: Twist, *, new_sweep: bool) -> Twist:
         """The command of a tick, as far as it is safe; it is decided anew after a sweep."""
@@ -64,16 +65,16 @@ class GuardedAvoidance:
 
     def points_base(self, sweep: DeskewedScan, T_odom_base: SE2) -> Array:
         """Everything to keep off, seen from the base: the sweep and the remembered places."""
-        points = np.concatenate([sweep.hits_odom, self._bumps.points(sweep.stamp_ns)])
+        points = np.concatenate([sweep.hits_odom, self._memory.bumps(sweep.stamp_ns)])
         return T_odom_base.inverse() @ points
 
     def decide(self, sweep: DeskewedScan, T_odom_base: SE2, last: Twist) -> Decision:
         """What to do after a new sweep."""
         away = TURN_AWAY_RAD if sweep.sectors.left > sweep.sectors.right else -TURN_AWAY_RAD
-        if self._bumps.noticed(sweep, T_odom_base, last, away, SE2.identity()):
+        if self._reflex.triggered(sweep, T_odom_base, last, away, SE2.identity()):
             self.turning = 0.0
         points = self.points_base(sweep, T_odom_base)
-        command = self._bumps.escaping(sweep.stamp_ns, T_odom_base)
+        command = self._reflex.command(sweep.stamp_ns, T_odom_base)
         if command is not None:
             return self.possible(Decision("back off" if command.v else "turn away", command), points)
         return self.possible(self._tiers(sweep, T_odom_base, points), points)
@@ -84,7 +85,7 @@ class GuardedAvoidance:
         if self._progress.stuck(sweep.stamp_ns, T_odom_base):
             angle = most_room(T_odom_base.inverse() @ sweep.hits_odom)
             way = self._way_out(points) if barred else 0.0
-            self._bumps.escape = Escape(sweep.stamp_ns, T_odom_base, way, angle)
+            self._reflex.escape = Escape(sweep.stamp_ns, T_odom_base, way, angle)
             return Decision("turn away", Twist(0.0, 0.0))
         if barred:
             self._turn_to(1.0 if s.left > s.right else -1.0)

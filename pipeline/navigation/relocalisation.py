@@ -1,4 +1,4 @@
-"""Relocalisation of a lost robot: events for `relocalisation_states.py`, and commands for its states."""
+"""Relocalisation of a lost robot: events for the state machine, and commands for its states of `LOST`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
+from turtlebag.pipeline.navigation.goal_states import Event, State
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
-from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, State
-from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
+from turtlebag.pipeline.navigation.pose_watch import PoseWatch
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.tasks.wiggle import Wiggle
 
 JUMP = 0.25
@@ -26,18 +27,17 @@ class Relocaliser:
 
     def __init__(
         self,
-        machine: RelocalisationStates,
+        watch: PoseWatch,
         localiser: OnlineLocaliser,
         aliasing: Aliasing,
         tools: Tools,
         avoidance: GuardedAvoidance,
     ) -> None:
-        self.machine = machine
+        self.watch = watch
+        self.machine = watch.machine
         self.localiser = localiser
         self.disambiguation: Disambiguation | None = None
         """The drive that decides between pose hypotheses, while there are any."""
-        self.void = False
-        """Whether plans and obstacles are void because this tick revealed a wrong pose."""
         self.tools = tools
         """Controller, costmap and planner."""
         self._aliasing, self._avoidance, self._wiggle = aliasing, avoidance, Wiggle()
@@ -45,38 +45,36 @@ class Relocaliser:
         self._judged = 0  # filter updates by which the hypotheses have been judged
         self._T_map_odom: SE2 | None = None
 
-    def update(self, observation: Observation, *, examine: bool) -> State:
-        """The state for this tick; pose hypotheses are generated if there is a goal to `examine` them for."""
+    def update(self, observation: Observation, *, examine: bool) -> None:
+        """Bring the machine to this tick's state; pose hypotheses are generated if there is a goal to
+        `examine` them for."""
         now, machine, localiser = observation.stamp_ns, self.machine, self.localiser
-        before, self.void = machine.state, False
+        before = machine.state
         if before is State.WIGGLE:
-            return before
-        self.void = self._jumped(observation.odometry.T_odom_base)
-        driving = before in (State.DRIVE, State.DISAMBIGUATE)
-        if self.void and driving and localiser.updates > 0:
-            self.doubt(now)
-        if machine.state is not State.DRIVE or localiser.updates > 0:
-            machine.update(now, localiser.amcl.converged, localiser.amcl.agrees, localiser.updates)
-        if machine.state is State.RESTART:
-            localiser.amcl.initialise_globally()
-        if machine.state not in (State.DRIVE, State.DISAMBIGUATE):
-            self.void |= driving
-            if self.disambiguation is not None:
-                self.disambiguation, self._searches = None, -1
-        elif machine.state is State.DRIVE and examine:
+            return
+        driving = machine.within(State.DRIVE)
+        if self._jumped(observation.odometry.T_odom_base):
+            trusted = driving or before is State.DISAMBIGUATE
+            if trusted and localiser.updates > 0:
+                self.doubt(now)
+            else:
+                machine.on(Event.JUMP)
+        if localiser.updates > 0 or not driving:
+            self.watch.update(now, localiser.amcl.converged, localiser.amcl.agrees, localiser.updates)
+        if machine.within(State.DRIVE) and examine:
             self._examine(now)
+        elif machine.state is not State.DISAMBIGUATE and self.disambiguation is not None:
+            self.disambiguation, self._searches = None, -1
         if machine.state is not before:
-            self._wiggle = Wiggle()
-            self._avoidance.interrupted()
-        return machine.state
+            self._begin_again()
 
-    def told(self, state: State) -> None:
+    def locate(self, event: Event) -> None:
         """A pose estimate was set, or global localisation started: earlier doubts are void."""
-        self.machine, self.disambiguation = RelocalisationStates(self.machine.config, state), None
-        self._searches = self.localiser.amcl.searches
+        self.machine.on(event)
+        self.watch.reset()
+        self.disambiguation, self._searches = None, self.localiser.amcl.searches
         self.accept()
-        self._wiggle = Wiggle()
-        self._avoidance.interrupted()
+        self._begin_again()
 
     def accept(self) -> None:
         """Past jumps of the estimate are no reason for doubt."""
@@ -84,54 +82,69 @@ class Relocaliser:
 
     def doubt(self, now_ns: int) -> None:
         """Other evidence of being lost: look around at once."""
-        self.machine.on(Event.DOUBTED, now_ns, self.localiser.updates)
+        self.watch.on(Event.DOUBT, now_ns, self.localiser.updates)
 
     def rest(self) -> None:
         """A teleop override has ended."""
         if self.disambiguation is not None:
             self.disambiguation.rest()
 
-    def turn_or_roam(self, observation: Observation, last: Twist, sensing: Sensing) -> Twist:
+    def command(self, tick: Tick, T_odom_base: SE2, sweep: DeskewedScan | None) -> Twist:
         """The command while lost: without the map, avoiding obstacles by the scans."""
-        now, state, T_odom_base = observation.stamp_ns, self.machine.state, observation.odometry.T_odom_base
-        controller = self.tools.controller
-        if state is State.ROAM and sensing.sweep is not None:
-            return self._roam(observation, last, sensing.sweep)
-        if state not in (State.WIGGLE, State.LOOK):
-            return controller.brake(last)
-        amcl, wiggling = self.localiser.amcl, state is State.WIGGLE
-        turn = self._wiggle.command(now, wiggling and amcl.converged)
+        state, brake = self.machine.state, self.tools.controller.brake
+        if state is State.DISAMBIGUATE:
+            return self._disambiguate(tick, T_odom_base, sweep)
+        if tick.stop:
+            return brake(tick.last)
+        if state is State.ROAM and sweep is not None:
+            return self._roam(tick, T_odom_base, sweep)
+        if state in (State.WIGGLE, State.LOOK):
+            return self._turn(tick)
+        return brake(tick.last)
+
+    def _turn(self, tick: Tick) -> Twist:
+        """Back and forth as far as there is room; the end of WIGGLE is an event."""
+        amcl, wiggling = self.localiser.amcl, self.machine.state is State.WIGGLE
+        turn = self._wiggle.command(tick.now_ns, wiggling and amcl.converged)
         if turn is None and wiggling:
             lost = self._wiggle.gave_up and amcl.lost
-            self.machine.on(Event.DOUBTED if lost else Event.FOUND, now, self.localiser.updates)
+            self.watch.on(Event.DOUBT if lost else Event.CERTAINTY, tick.now_ns, self.localiser.updates)
             self._wiggle = Wiggle()
         if turn is None:
-            return controller.brake(last)
-        factor = self.tools.monitor.limit(turn, sensing.points_base(T_odom_base))
-        return controller.ramp(Twist(0.0, turn.w * factor), last)
+            return self.tools.controller.brake(tick.last)
+        factor = self.tools.monitor.limit(turn, tick.points_base)
+        return self.tools.controller.ramp(Twist(0.0, turn.w * factor), tick.last)
 
-    def _roam(self, observation: Observation, last: Twist, sweep: DeskewedScan) -> Twist:
-        T_odom_base, new = observation.odometry.T_odom_base, observation.scan is not None
-        wanted = self._avoidance.command(sweep, T_odom_base, last, new_sweep=new)
-        return self.tools.controller.ramp(wanted, last)
+    def _roam(self, tick: Tick, T_odom_base: SE2, sweep: DeskewedScan) -> Twist:
+        wanted = self._avoidance.command(sweep, T_odom_base, tick.last, new_sweep=tick.new_sweep)
+        return self.tools.controller.ramp(wanted, tick.last)
 
-    def disambiguate(self, tick: Tick, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
-        """The command of active disambiguation; None if it has taken too long."""
-        assert self.disambiguation is not None
-        if self.localiser.updates > self._judged:
-            self._judged = self.localiser.updates
-            left = self.disambiguation.judge(self.localiser)
-            if left is not None:
-                self.disambiguation, self.void = None, True
-                self.machine.on(Event.DECIDED, tick.now_ns, self.localiser.updates)
-                self._move_to(left)
-                return self.tools.controller.brake(tick.last)
-        if self.disambiguation.over(tick.now_ns, self.machine.config.disambiguate):
-            return None
-        command = self.disambiguation.command(tick)
+    def _disambiguate(self, tick: Tick, T_odom_base: SE2, sweep: DeskewedScan | None) -> Twist:
+        """Drive to decide between the hypotheses, until one is left or it has taken too long."""
+        drive, watch, updates = self.disambiguation, self.watch, self.localiser.updates
+        assert drive is not None
+        brake = self.tools.controller.brake(tick.last)
+        if updates > self._judged:
+            self._judged = updates
+            hypothesis = drive.judge(self.localiser)
+            if hypothesis is not None:
+                self.disambiguation = None
+                watch.on(Event.DECISION, tick.now_ns, updates)
+                self._move_to(hypothesis)
+                return brake
+        if drive.over(tick.now_ns, watch.config.disambiguate):
+            self.machine.on(Event.TIMEOUT)
+            drive.begin_again(tick.now_ns)
+            return brake
+        command = drive.command(tick)
         if command is None and not tick.stop and sweep is not None:
-            return self._roam(observation, tick.last, sweep)
-        return self.tools.controller.brake(tick.last) if command is None else command
+            return self._roam(tick, T_odom_base, sweep)
+        return brake if command is None else command
+
+    def _begin_again(self) -> None:
+        """Another state: what the last one was doing is over."""
+        self._wiggle = Wiggle()
+        self._avoidance.interrupted()
 
     def _jumped(self, T_odom_base: SE2) -> bool:
         """Whether the estimate has moved by anything but odometry since the last call.
@@ -150,16 +163,17 @@ class Relocaliser:
         if T_map_odom is None or not keyframes or localiser.amcl.lost or searches <= self._searches:
             return
         self._searches = searches
-        found = self._aliasing.find(keyframes, T_map_odom)
-        if len(found) > 1:
-            self.disambiguation = Disambiguation(self._aliasing, found, self.tools, now_ns)
+        hypotheses = self._aliasing.find(keyframes, T_map_odom)
+        if len(hypotheses) > 1:
+            self.disambiguation = Disambiguation(self._aliasing, hypotheses, self.tools, now_ns)
             self._judged = localiser.updates
-            self.machine.on(Event.ALIASED, now_ns, localiser.updates)
+            self.watch.on(Event.ALIASES, now_ns, localiser.updates)
         else:
-            self._move_to(found[0])
+            self._move_to(hypotheses[0])
 
     def _move_to(self, T_map_map: SE2) -> None:
         """Move the estimate if it is not there already; that is no reason for doubt."""
         if not np.allclose(T_map_map.xyt, 0.0):
             self.localiser.move(T_map_map, MOVED_STD**2 * np.eye(3))
-            self._T_map_odom, self.void = self.localiser.T_map_odom, True
+            self._T_map_odom = self.localiser.T_map_odom
+            self.machine.on(Event.JUMP)

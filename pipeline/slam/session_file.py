@@ -12,7 +12,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace
-from functools import cache as once
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import require_bounded_zip
+from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.datasets.yaml_files import checked
@@ -27,11 +27,12 @@ from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Kind, Loop
 from turtlebag.pipeline.slam.mapper import LATER, SlamConfig
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.scans.clouds import KNOTS
-from turtlebag.pipeline.slam.scans.parts import among, clouds_maker
+from turtlebag.pipeline.slam.scans.range_noise import range_noise
+from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
-from turtlebag.pipeline.slam.sessions import Session
+from turtlebag.pipeline.slam.sessions import Session, borders_of
 
 FILE = "graph.npz"
 FORMAT = 11
@@ -176,16 +177,17 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     calibration = _record(Calibration, "", stored, **calibration_of)
     track = _record(Track, "track_", stored, calibration=calibration)
     records = {of: _rows(name, stored, kind) for name, (of, kind) in RECORDS.items()}
-    motion = _value("motion", stored)
-    clouds_of = clouds_maker(recording, config.usable(recording.lidar), motion)
+    graph, usable = _record(Graph, "", stored, **records), config.usable(recording.lidar)
+    scans = Scans(recording, usable, range_noise(recording, usable), _value("motion", stored))
+    borders = borders_of(graph.constraints, track.keys)
     return Session(
         recording=recording,
-        clouds=once(lambda: among(clouds_of(track.keys), track.keys, len(recording))),
-        clouds_of=clouds_of,
-        motion=motion,
+        key_scans=scans.of_keys(track.keys),
+        motion=scans.motion,
         track=track,
+        evidence=evidence_of(recording, track, config.tracking.odometry, borders),
         breaks=_record(TrackBreaks, "breaks_", stored),
-        graph=_record(Graph, "", stored, **records),
+        graph=graph,
         ranges=RangeCalibration(**ranges),
     ), config
 

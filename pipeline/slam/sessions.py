@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,12 +12,16 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.factors import ALONG_THE_LOG, Constraint, Graph, Kind
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.submaps import windows
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
-from turtlebag.pipeline.slam.odometry.track import Track, carried_poses
-from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans
+from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
+from turtlebag.pipeline.slam.odometry.steps import step_constraints
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.scans.clouds import KeyScans
+from turtlebag.pipeline.slam.scans.scans import joined_keys
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 
 BORDER = np.diag([25.0, 25.0, 100.0])
@@ -28,24 +32,19 @@ BORDER = np.diag([25.0, 25.0, 100.0])
 class Session:
     """One recording (or several joined) with its map.
 
-    Clouds are made when needed: `clouds` are those of the key scans, which stay in memory; `clouds_of` makes
-    those of any scans. `motion` is the base's during each sweep, None if a sweep is one instant. The
-    recording's ranges are corrected already; `ranges` is the error of those of the first one.
+    Of the scans' points only those of the key scans stay in memory, `key_scans`. `motion` is the base's
+    during each sweep, None if a sweep is one instant. The recording's ranges are corrected already; `ranges`
+    is the error of those of the first one.
     """
 
     recording: Recording
-    clouds: Callable[[], Clouds]
-    clouds_of: Callable[[NDArray[np.int64]], Clouds]
+    key_scans: KeyScans
     motion: SE2 | None
     track: Track
+    evidence: Evidence
     breaks: TrackBreaks
     graph: Graph
     ranges: RangeCalibration
-
-    @property
-    def borders(self) -> NDArray[np.int64]:
-        """The first scans of later recordings."""
-        return self.track.keys[[c.j for c in self.graph.constraints if c.kind is Kind.BORDER]]
 
     @property
     def unconfirmed(self) -> NDArray[np.int64]:
@@ -62,6 +61,42 @@ class Session:
     def bridged(self) -> TrackBreaks:
         """The breaks of the track that the graph did not bridge."""
         return self.breaks.bridged(self.graph.unbridged)
+
+
+def join(
+    a: Session,
+    b: Session,
+    places: PlaceRecognitionConfig,
+    loops: LoopConfig,
+    tracking: TrackingConfig,
+) -> Session:
+    """Session `b`, one recording, located in the map of `a`, and the two as one: only a weak constraint
+    connects them, and the loops between them are still to be closed. InputError if no place of `a` is
+    recognised."""
+    recording, border = joined_recording([a.recording, b.recording]), len(a.recording)
+    key_scans = joined_keys(a.key_scans, b.key_scans)
+    T_map_b = place_of(key_scans, a, b, places, loops)
+    if T_map_b is None:
+        raise InputError(
+            f"{b.recording.source}: no place of {a.recording.source} recognised; map it separately"
+        )
+    track_a, track_b = a.carried(), b.carried()
+    track = joined_track(track_a, track_b, T_map_b)
+    evidence = evidence_of(recording, track, tracking.odometry, np.append(a.evidence.borders, border))
+    weak = [c for c in a.graph.constraints if c.kind is Kind.BORDER]
+    weak.append(border_constraint(track_a, a.graph.T_map_keys, T_map_b, track_b))
+    ends = {c.j for c in weak}
+    steps = [c for c in step_constraints(track, tracking, evidence.distrusted) if c.j not in ends]
+    sweeps = [session.motion for session in (a, b) if session.motion is not None]
+    motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
+    breaks = joined_breaks(a.bridged(), b.bridged(), border)
+    graph = Graph(track.T_track_base[track.keys], [*steps, *weak], [], [], breaks.broken)
+    return Session(recording, key_scans, motion, track, evidence, breaks, graph, a.ranges)
+
+
+def borders_of(constraints: Sequence[Constraint], keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first scans of later recordings, by the constraints between them; `keys` are all key scans."""
+    return keys[[c.j for c in constraints if c.kind is Kind.BORDER]]
 
 
 def joined_recording(recordings: list[Recording]) -> Recording:
@@ -109,13 +144,13 @@ def joined_track(a: Track, b: Track, T_a_b: SE2) -> Track:
 
 
 def place_of(
-    clouds: Clouds, a: Session, b: Session, config: PlaceRecognitionConfig, loops: LoopConfig
+    scans: KeyScans, a: Session, b: Session, config: PlaceRecognitionConfig, loops: LoopConfig
 ) -> SE2 | None:
-    """The pose of session `b` (its scans follow `a`'s in `clouds`) in the map of `a`, by place recognition
+    """The pose of session `b` (its key scans follow `a`'s in `scans`) in the map of `a`, by place recognition
     across the break between the two. The first eighth of `b` is tried first, then more of it. If `b` has
     fewer submaps than must agree, those it has are enough. None if no place is recognised."""
     n, breaks = len(a.track.keys), joined_breaks(a.bridged(), b.bridged(), len(a.recording), broken=True)
-    keys = np.concatenate([a.track.keys, b.track.keys + len(a.recording)])
+    clouds, keys = scans
     T = np.concatenate([a.graph.T_map_keys.xyt, b.graph.T_map_keys.xyt])
     constraints = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
     submaps = len(windows(len(keys) - n, b.bridged().broken))

@@ -19,7 +19,7 @@ from turtlebag.pipeline.slam.explain import loop_record, write_explanation
 from turtlebag.pipeline.slam.graph.back_end import make_back_end
 from turtlebag.pipeline.slam.graph.edits import Edits, load_edits
 from turtlebag.pipeline.slam.graph.pose_graph import write_g2o
-from turtlebag.pipeline.slam.mapper import SlamConfig, chosen_parts, continue_slam, run_slam
+from turtlebag.pipeline.slam.mapper import SlamConfig, continue_slam, run_slam
 from turtlebag.pipeline.slam.odometry.front_ends import front_end_maker
 from turtlebag.pipeline.slam.session_file import FILE as GRAPH
 from turtlebag.pipeline.slam.session_file import load_session, require_same_front_end, save_session
@@ -129,7 +129,7 @@ def _map_scans(
         if explain:
             write_explanation(folder, result, config)
 
-    parts = {"parts": chosen_parts(config)}
+    parts = {"parts": config.parts()}
     ranges = result.session.ranges.as_metrics()
     return Mapped(recording, config, result, loop_record(result), write, metrics=ranges, manifest=parts)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
@@ -18,7 +19,7 @@ from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, Mission, Request, prepare
-from turtlebag.pipeline.navigation.episode import Audience, drive
+from turtlebag.pipeline.navigation.episode import Audience, Episode, drive
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import save_truth
@@ -53,12 +54,6 @@ def navigate(
     mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
     text = config_text(mission.config)
-    custom = {
-        "seed": str(request.seed),
-        "config_sha256": sha256_text(text),
-        "world": world.name,
-        "task": request.task,
-    }
     known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
     with (
@@ -67,7 +62,7 @@ def navigate(
         out.staged(save_bag=True) as folder,
     ):
         with (
-            BagWriter(folder / "bag", custom=custom) as bag,
+            BagWriter(folder / "bag", custom=_of_bag(world, request, text)) as bag,
             _overrides(mission) as overrides,
             simulated_time(known_s if request.task == "avoid" else None) as clock,
         ):
@@ -75,13 +70,7 @@ def navigate(
             episode = drive(simulator, mission, Audience(bag, say, news, interrupted), overrides)
         require_no_hangup(interrupted)
         metrics, loop_s, parts = episode.metrics, out.wall_s, _parts(mission)
-        save_tum(episode.estimate, folder / "trajectory.tum")
-        episode.log.save(folder / "runlog.csv")
-        if episode.grid is not None:
-            save_map(episode.grid, folder)
-        if episode.asked:
-            (folder / "teleop_override.yaml").write_text(script_text(episode.asked))
-        save_truth(folder / "truth", episode.truth, simulator.world, simulator.robot)
+        _write(folder, episode, simulator)
         out.finish(
             folder,
             "navigate",
@@ -99,13 +88,39 @@ def navigate(
                 **({"interrupted": True} if interrupted else {}),
             },
         )
+    _report(mission, metrics, interrupted, out.folder)
+    return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
+
+
+def _of_bag(world: World, request: Request, config: str) -> dict[str, str]:
+    """What the bag says of its run."""
+    return {
+        "seed": str(request.seed),
+        "config_sha256": sha256_text(config),
+        "world": world.name,
+        "task": request.task,
+    }
+
+
+def _write(folder: Path, episode: Episode, simulator: Simulator) -> None:
+    """What a run leaves beside its bag."""
+    save_tum(episode.estimate, folder / "trajectory.tum")
+    episode.log.save(folder / "runlog.csv")
+    if episode.grid is not None:
+        save_map(episode.grid, folder)
+    if episode.asked:
+        (folder / "teleop_override.yaml").write_text(script_text(episode.asked))
+    save_truth(folder / "truth", episode.truth, simulator.world, simulator.robot)
+
+
+def _report(mission: Mission, metrics: Mapping[str, Any], interrupted: Sequence[int], out: Path) -> None:
+    """When the robot was kidnapped, and how the run ended."""
     for when, x, y, yaw in mission.config.sim.faults.kidnap:
         if when <= metrics["time_s"]:
             log.info(f"kidnapped at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
     if interrupted:
         log.warning("interrupted; the run so far is kept")
-    log.info(f"{verdict(metrics)} -> {out.folder}")
-    return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
+    log.info(f"{verdict(metrics)} -> {out}")
 
 
 def _parts(mission: Mission) -> dict[str, str | None]:

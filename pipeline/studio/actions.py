@@ -154,7 +154,7 @@ def pose_estimate(robot: Robot, action: inputs.At) -> str:
     navigation, loaded = _on_map(robot, "pose_estimate")
     pose = SE2.from_xyt(*action.pose)
     require_on_map("pose_estimate", pose, navigation.tools.obstacles.static, loaded.path)
-    navigation.told(pose, robot.observation.odometry.T_odom_base)
+    navigation.locate(pose, robot.observation.odometry.T_odom_base)
     robot.trails.frame_changed()
     x, y, yaw = action.pose
     return f"initial pose {x:.2f}, {y:.2f}, {yaw:.2f}"
@@ -164,7 +164,7 @@ def localise_global(robot: Robot, action: inputs.Plain) -> str:
     """Start global localisation."""
     navigation, loaded = _on_map(robot, "localise_global")
     require_floor(loaded.grid, loaded.path)
-    navigation.told("global", robot.observation.odometry.T_odom_base)
+    navigation.locate("global", robot.observation.odometry.T_odom_base)
     robot.trails.frame_changed()
     return "global localisation: the robot may be anywhere on the map"
 

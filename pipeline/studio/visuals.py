@@ -14,8 +14,8 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
+from turtlebag.pipeline.navigation.goal_states import State
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
-from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio.loops_shown import graph_of_mapper
 from turtlebag.pipeline.studio.pilot import Pilot, Task
@@ -242,10 +242,9 @@ class Visuals:
             return "scans do not fit the map" if self._pilot.slam.lost else None
         if localiser is None or navigation is None or not localiser.amcl.initialised:
             return None
-        assert navigation.relocaliser is not None
-        state = navigation.relocaliser.machine.state
-        if self._pilot.task is not None and state not in (State.DRIVE, State.WIGGLE):
-            return state.value.replace("_", " ")
+        machine = navigation.machine
+        if self._pilot.task is not None and machine.within(State.LOST) and machine.state is not State.WIGGLE:
+            return machine.state.value.replace("_", " ")
         if not localiser.amcl.converged:
             return "particles have not converged"
         return None if localiser.amcl.agrees else "scans disagree with the map"

@@ -223,62 +223,92 @@ def best_arc(
     ws: Array,
     c: ArcWeights,
 ) -> tuple[float, float]:
-    """The (v, w) of least cost among vs x ws from a pose in the grid frame; (0, 0) if none is admissible.
-
-    An arc is admissible if the robot can stop before its clearance falls below the least one; an arc that
-    starts with less may only gain clearance.
-    """
-    clearance, resolution = floor.clearance, floor.resolution
+    """The (v, w) of least cost among vs x ws from a pose in the grid frame; (0, 0) if none is admissible."""
     x, y, yaw = pose
     inscribed, circumscribed, outline = footprint.inscribed, footprint.circumscribed, footprint.outline
     edge = FootprintSamples(footprint.points[:outline], inscribed, circumscribed, outline)
-    # More room than this makes no difference.
-    enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
-    here = footprint_clearance(clearance, resolution, footprint, x, y, yaw)
+    here = footprint_clearance(floor.clearance, floor.resolution, footprint, x, y, yaw)
     # Distance from where no way leads to the goal: longer than any way over the cells.
-    base = value_at(floor.to_goal, resolution, x, y, clearance.size * resolution)
-    judged = round(c.time / STEP_S)
+    base = value_at(floor.to_goal, floor.resolution, x, y, floor.clearance.size * floor.resolution)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
     for v in vs:
         for w in ws:
             if abs(v) < c.least_v and abs(w) < c.least_w:
                 continue
-            # Long enough to include the stopping distance.
-            horizon = max(c.time, abs(v) / c.braking + STEP_S)
-            steps = math.ceil(horizon / STEP_S)
-            room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S
-            px, py, pyaw, admissible = x, y, yaw, True
-            ex, ey, eyaw = x, y, yaw
-            for i in range(1, steps + 1):
-                px, py, pyaw = moved(x, y, yaw, v, w, i * STEP_S)
-                center = field_at(clearance, resolution, px, py)
-                if center - circumscribed > enough:
-                    d = center - circumscribed
-                else:
-                    # If nothing is within the circle, nothing is within the polygon: its outline decides.
-                    checked = edge if center > circumscribed + resolution else footprint
-                    d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
-                if d < c.least and d <= here:
-                    # It stops here at the latest, so this is the end of the arc.
-                    if abs(v) * (i - 1) * STEP_S < stop_needed or i <= 2:
-                        admissible = False
-                    break
-                room = min(room, d)
-                if i <= judged:
-                    ex, ey, eyaw = px, py, pyaw
-            if not admissible:
+            room, ex, ey, eyaw = along_arc(floor, footprint, edge, pose, v, w, c, here)
+            if room == -np.inf:
                 continue
-            far = base + 1.0
-            end = value_at(floor.to_goal, resolution, ex, ey, far)
-            fx, fy = ex + c.ahead * math.cos(eyaw), ey + c.ahead * math.sin(eyaw)
-            nose = value_at(floor.to_goal, resolution, fx, fy, far)
-            off = value_at(floor.to_path, resolution, ex, ey, 1.0)
-            back = max(-v, 0.0) * c.time
-            cost = c.goal * (end + nose) + c.path * off + c.back * back - c.room * min(room, COMFORT_M)
-            if c.nose > 0.0:
-                cost += c.nose * value_at(floor.to_path, resolution, fx, fy, 1.0)
-            if c.occupied > 0.0:
-                cost += c.occupied * inflated_cost_at(room - inscribed, COST_SCALING)
+            cost = arc_cost(floor, (ex, ey, eyaw), v, room, inscribed, base + 1.0, c)
             if cost < best_cost:
                 best_cost, best_v, best_w = cost, v, w
     return best_v, best_w
+
+
+@njit(cache=True)
+def along_arc(
+    floor: ArcFloor,
+    footprint: FootprintSamples,
+    edge: FootprintSamples,
+    pose: tuple[float, float, float],
+    v: float,
+    w: float,
+    c: ArcWeights,
+    here: float,
+) -> tuple[float, float, float, float]:
+    """Least room along an arc [m], and the pose where it is judged; -inf if the arc is not admissible.
+
+    It is admissible if the robot can stop before its clearance falls below the least one; an arc that starts
+    with less (`here`) may only gain clearance.
+    """
+    clearance, resolution, circumscribed = floor.clearance, floor.resolution, footprint.circumscribed
+    # More room than this makes no difference.
+    enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
+    x, y, yaw = pose
+    # Long enough to include the stopping distance.
+    horizon = max(c.time, abs(v) / c.braking + STEP_S)
+    steps, judged = math.ceil(horizon / STEP_S), round(c.time / STEP_S)
+    room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S
+    ex, ey, eyaw = x, y, yaw
+    for i in range(1, steps + 1):
+        px, py, pyaw = moved(x, y, yaw, v, w, i * STEP_S)
+        center = field_at(clearance, resolution, px, py)
+        if center - circumscribed > enough:
+            d = center - circumscribed
+        else:
+            # If nothing is within the circle, nothing is within the polygon: its outline decides.
+            checked = edge if center > circumscribed + resolution else footprint
+            d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
+        if d < c.least and d <= here:
+            # It stops here at the latest, so this is the end of the arc.
+            if abs(v) * (i - 1) * STEP_S < stop_needed or i <= 2:
+                return -np.inf, ex, ey, eyaw
+            break
+        room = min(room, d)
+        if i <= judged:
+            ex, ey, eyaw = px, py, pyaw
+    return room, ex, ey, eyaw
+
+
+@njit(cache=True)
+def arc_cost(
+    floor: ArcFloor,
+    end: tuple[float, float, float],
+    v: float,
+    room: float,
+    inscribed: float,
+    far: float,
+    c: ArcWeights,
+) -> float:
+    """The cost of an arc with its `end` and its least `room` [m]; `far` [m] is the way from off the floor."""
+    resolution, (ex, ey, eyaw) = floor.resolution, end
+    fx, fy = ex + c.ahead * math.cos(eyaw), ey + c.ahead * math.sin(eyaw)
+    way = value_at(floor.to_goal, resolution, ex, ey, far)
+    nose = value_at(floor.to_goal, resolution, fx, fy, far)
+    off = value_at(floor.to_path, resolution, ex, ey, 1.0)
+    back = max(-v, 0.0) * c.time
+    cost = c.goal * (way + nose) + c.path * off + c.back * back - c.room * min(room, COMFORT_M)
+    if c.nose > 0.0:
+        cost += c.nose * value_at(floor.to_path, resolution, fx, fy, 1.0)
+    if c.occupied > 0.0:
+        cost += c.occupied * inflated_cost_at(room - inscribed, COST_SCALING)
+    return float(cost)

@@ -10,6 +10,7 @@ from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.pipeline.slam.odometry.track import TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.odometry.wheels import Wheels
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 SICK = LidarSpec(180, -math.pi / 2, math.pi / 180.0, 0.05, 30.0)
 LDS = LidarSpec(360, 0.0, math.pi / 180.0, 0.12, 8.0)
@@ -53,7 +54,6 @@ def drifted(poses, *, scale=1.03, bias=0.004, seed=1):
     return np.array(out)
 
 
-def dead_reckoning(log, clouds):
+def dead_reckoning(log):
     """The track that the odometry of a log draws, as it is."""
-    config = TrackingConfig(calibration=False)
-    return track_log(log, clouds, config, 30.0, range(1, len(log)), Wheels)
+    return track_log(Scans.of(log, 30.0), TrackingConfig(calibration=False), Wheels)

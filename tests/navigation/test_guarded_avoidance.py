@@ -9,13 +9,14 @@ from scipy.spatial import cKDTree
 from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, misfit
+from turtlebag.pipeline.navigation.bump_reflex import Escape
 from turtlebag.pipeline.navigation.guarded_avoidance import (
     RESTLESS_M,
     RESTLESS_S,
     GuardedAvoidance,
     most_room,
 )
+from turtlebag.pipeline.navigation.obstacle_memory import MEMORY_NS, ObstacleMemory, misfit
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.tasks.recovery import ProgressWatch
 from turtlebag.planners.tasks.sector_rule import Decision, Sectors
@@ -32,7 +33,7 @@ def view(points=FAR, now=0.0, pose=None, sectors=OPEN):
 
 
 def avoidance():
-    return GuardedAvoidance(BURGER)
+    return GuardedAvoidance(BURGER, ObstacleMemory(BURGER))
 
 
 HALF = 0.105 + 0.06
@@ -156,11 +157,15 @@ def test_after_some_changes_of_the_freer_side_it_keeps_to_one_until_it_is_interr
 
 @pytest.mark.parametrize(("v", "edge"), [(0.1, 0.041 + 0.05), (0.0, 0.041 + 0.05), (-0.1, -0.105 - 0.05)])
 def test_a_bump_is_a_line_beyond_the_leading_edge_as_wide_as_the_robot_in_the_frame_asked_for(v, edge):
-    bumps, T_map_odom, pose = BumpMemory(BURGER), SE2.from_xyt(0.3, 0.1, -0.2), SE2.from_xyt(1.0, 2.0, 0.5)
+    memory, T_map_odom, pose = (
+        ObstacleMemory(BURGER),
+        SE2.from_xyt(0.3, 0.1, -0.2),
+        SE2.from_xyt(1.0, 2.0, 0.5),
+    )
     before = pose @ SE2.from_xyt(-0.11, 0.0, 0.0)
-    assert not bumps.noticed(view(pose=before), before, Twist(v, 0.0), 0.0, T_map_odom)
-    assert bumps.noticed(view(pose=pose), pose, Twist(v, 0.0), 0.0, T_map_odom)
-    line = (T_map_odom @ pose).inverse() @ bumps.points(0)
+    assert not memory.bumped(view(pose=before), before, v, T_map_odom)
+    assert memory.bumped(view(pose=pose), pose, v, T_map_odom)
+    line = (T_map_odom @ pose).inverse() @ memory.bumps(0)
     np.testing.assert_allclose(line[:, 0], edge)
     np.testing.assert_allclose(np.diff(line[:, 1]), 0.02)
     ys = BURGER.footprint[:, 1]
@@ -214,27 +219,32 @@ def test_what_touches_nothing_is_done():
 def test_sweeps_are_compared_once_odometry_has_passed_far_enough():
     rng = np.random.default_rng(1)
     points = rng.uniform(-2.0, 2.0, (80, 2))
-    watch = SlipWatch()
-    assert not watch.slipping(SE2.identity(), points)
+    memory = ObstacleMemory(BURGER)
+
+    def slipping(T_odom_base, hits_odom, memory=memory):
+        sweep = DeskewedScan(0, T_odom_base, hits_odom, np.zeros((0, 2)), OPEN)
+        return memory.bumped(sweep, T_odom_base, 0.1, HERE)
+
+    assert not slipping(SE2.identity(), points)
     # standing on a spot while odometry goes on: the same sweep in the base frame
     near, far = SE2.from_xyt(0.09, 0.0, 0.1), SE2.from_xyt(0.11, 0.0, 0.1)
-    assert not watch.slipping(near, near @ points)
-    assert watch.slipping(far, far @ points)
+    assert not slipping(near, near @ points)
+    assert slipping(far, far @ points)
     on = far @ SE2.from_xyt(0.2, 0.0, 0.0)
-    assert not watch.slipping(on, far @ points)  # it did move: the world stood still
+    assert not slipping(on, far @ points)  # it did move: the world stood still
     turned = on @ SE2.from_xyt(0.0, 0.0, 0.7)
-    assert not watch.slipping(turned, far @ points)
+    assert not slipping(turned, far @ points)
     few = turned @ SE2.from_xyt(0.5, 0.0, 0.0)
-    assert not watch.slipping(few, few @ points[:29])
-    assert not watch.slipping(few @ SE2.from_xyt(0.5, 0.0, 0.0), few @ points)
-    assert watch.slipping(few @ SE2.from_xyt(1.0, 0.0, 0.0), few @ SE2.from_xyt(0.5, 0.0, 0.0) @ points)
-    watch.reset()
-    assert not watch.slipping(few @ SE2.from_xyt(1.5, 0.0, 0.0), few @ SE2.from_xyt(1.0, 0.0, 0.0) @ points)
+    assert not slipping(few, few @ points[:29])
+    assert not slipping(few @ SE2.from_xyt(0.5, 0.0, 0.0), few @ points)
+    assert slipping(few @ SE2.from_xyt(1.0, 0.0, 0.0), few @ SE2.from_xyt(0.5, 0.0, 0.0) @ points)
+    memory.begin_again()
+    assert not slipping(few @ SE2.from_xyt(1.5, 0.0, 0.0), few @ SE2.from_xyt(1.0, 0.0, 0.0) @ points)
     # turning on the spot while only the way is false
-    spun = SlipWatch()
-    spun.slipping(SE2.identity(), points)
+    spun = ObstacleMemory(BURGER)
+    slipping(SE2.identity(), points, spun)
     there = SE2.from_xyt(0.3, 0.0, 0.5)
-    assert spun.slipping(there, there @ (SE2.from_xyt(0.0, 0.0, -0.5) @ points))
+    assert slipping(there, there @ (SE2.from_xyt(0.0, 0.0, -0.5) @ points), spun)
 
 
 def test_the_misfit_is_the_mean_gap_cut_at_twenty_centimetres():

@@ -4,7 +4,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch, in_company
+from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory, in_company
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.tasks.recovery import Ladder, RecoveryConfig, Rung
 from turtlebag.planners.tasks.sector_rule import Sectors
@@ -33,20 +33,20 @@ def sweep(k, T_odom_lidar, disc_xy, noise=None):
 
 
 def watched(poses, discs):
-    watch, noise = MovingWatch(BURGER), np.random.default_rng(1)
+    memory, noise = ObstacleMemory(BURGER), np.random.default_rng(1)
     counts = []
     for k, (pose, disc) in enumerate(zip(poses, discs, strict=True)):
-        watch.observe(sweep(k, pose, disc, noise))
-        counts.append(len(watch.points_odom))
-    return watch, counts
+        memory.observe(sweep(k, pose, disc, noise))
+        counts.append(len(memory.moving_odom))
+    return memory, counts
 
 
 def test_a_disc_that_walks_is_seen_to_move_and_nothing_else_is():
     here = SE2.from_xyt(-0.5, -0.3, 0.4)
-    watch, counts = watched([here] * 10, [(1.0 - 0.06 * k, 0.3) for k in range(10)])
+    memory, counts = watched([here] * 10, [(1.0 - 0.06 * k, 0.3) for k in range(10)])
     assert min(counts[3:]) >= 5
     centre = np.array([1.0 - 0.06 * 9, 0.3])
-    assert np.all(np.linalg.norm(watch.points_odom - centre, axis=1) < 0.25)
+    assert np.all(np.linalg.norm(memory.moving_odom - centre, axis=1) < 0.25)
 
 
 def test_what_stands_does_not_move_when_the_robot_does():
@@ -63,13 +63,13 @@ def test_a_point_alone_is_noise():
 
 
 def test_the_robot_stands_still_for_what_moves_within_reach():
-    watch, here = MovingWatch(BURGER), SE2.from_xyt(1.0, 2.0, 0.5)
+    memory, here = ObstacleMemory(BURGER), SE2.from_xyt(1.0, 2.0, 0.5)
 
     def stops(points_base):
-        watch.points_odom = here @ np.array(points_base)
-        return watch.stops(here)
+        memory.moving_odom = here @ np.array(points_base)
+        return memory.stops(here)
 
-    assert not watch.stops(here)
+    assert not memory.stops(here)
     assert stops([[0.3, 0.0]])
     assert stops([[-0.3, -0.2]])
     assert not stops([[0.5, 0.0], [0.0, 0.5]])

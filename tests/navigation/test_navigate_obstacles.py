@@ -8,6 +8,7 @@ from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
+from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
 from turtlebag.planners.obstacle_layer import Marking, ObstacleLayer
@@ -126,7 +127,7 @@ def passed(avoidance, wanted, view):
 def avoidance_and_view(points_base, pose=None, now=0.0, sectors=None):
     pose = pose or SE2.identity()
     sectors = sectors or Sectors(1.0, 2.0, 1.0)
-    return GuardedAvoidance(BURGER), sweep(points_base, sectors, pose, now)
+    return GuardedAvoidance(BURGER, ObstacleMemory(BURGER)), sweep(points_base, sectors, pose, now)
 
 
 def circle(radius=2.0, n=360):
@@ -162,7 +163,7 @@ def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
     xs, ys = np.linspace(-2.0, 2.0, 60), np.linspace(-1.5, 1.5, 50)
     walls = [[[x, y] for x in xs] for y in (-1.5, 1.5)] + [[[x, y] for y in ys] for x in (-2.0, 2.0)]
     room_points = np.concatenate([np.array(wall) for wall in walls])
-    avoidance = GuardedAvoidance(BURGER)
+    avoidance = GuardedAvoidance(BURGER, ObstacleMemory(BURGER))
     moving, standing = 0, 0
     for k in range(10):
         pose = SE2.from_xyt(0.04 * k, 0.0, 0.0)
@@ -187,7 +188,7 @@ def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
 @pytest.mark.parametrize("speed", [0.2, -0.2])
 def test_what_nobody_sees_is_remembered_outside_the_robot(name, speed):
     model = load_robot(name).model
-    avoidance = GuardedAvoidance(model)
+    avoidance = GuardedAvoidance(model, ObstacleMemory(model))
     view = sweep(circle(), Sectors(1.0, 2.0, 1.0))
     # Odometry goes on, and what is seen stays where it was.
     before = SE2.from_xyt(math.copysign(-0.11, speed), 0.0, 0.0)
@@ -207,7 +208,7 @@ def test_an_escape_from_a_corner_is_found_where_one_exists():
     # Walls close ahead and to the left, room to the right and behind.
     ahead = [[0.12, y] for y in np.linspace(-0.3, 0.2, 40)]
     left = [[x, 0.14] for x in np.linspace(-0.2, 0.12, 40)]
-    avoidance = GuardedAvoidance(BURGER)
+    avoidance = GuardedAvoidance(BURGER, ObstacleMemory(BURGER))
     view = sweep(np.array(ahead + left), Sectors(0.14, 0.12, 2.0))
     assert avoidance.command(view, HERE, Twist(), new_sweep=True) != Twist()
 

@@ -8,7 +8,8 @@ from tests.helpers.planning_room import BURGER
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
-from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory
+from turtlebag.pipeline.navigation.bump_reflex import BumpReflex
+from turtlebag.pipeline.navigation.obstacle_memory import MEMORY_NS, ObstacleMemory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.pipeline.slam.mapper import SlamConfig
@@ -78,26 +79,27 @@ def wall_ahead(T_world_base: SE2) -> np.ndarray:
 
 @pytest.mark.parametrize("pushing", [True, False])
 def test_wheels_that_turn_on_the_spot_are_noticed_and_the_place_is_kept_out_of(pushing):
-    bumps = BumpMemory(BURGER)
+    memory = ObstacleMemory(BURGER)
+    reflex = BumpReflex(memory)
     noticed = []
     for k in range(12):
         T_odom_base = SE2.from_xyt(0.04 * k, 0.0, 0.0)
         T_true = SE2.identity() if pushing else T_odom_base
         hits = T_odom_base @ wall_ahead(T_true)
         sweep = DeskewedScan(k * 200_000_000, T_odom_base, hits, np.zeros((0, 2)), Sectors(2.0, 2.0, 2.0))
-        noticed.append(bumps.noticed(sweep, T_odom_base, Twist(0.2, 0.0), 0.0, SE2.identity()))
+        noticed.append(reflex.triggered(sweep, T_odom_base, Twist(0.2, 0.0), 0.0, SE2.identity()))
     assert any(noticed) == pushing
     free = Costmap(np.zeros((80, 80), dtype=bool), 0.05, SE2.from_xyt(-2.0, -2.0, 0.0))
     now = 12 * 200_000_000
-    kept_out = bumps.kept_out(free, now).lethal
+    kept_out = memory.kept_out(free, now).lethal
     if not pushing:
         assert not kept_out.any()
         return
     first = noticed.index(True)
     nose = np.array([0.04 * first + 0.041 + 0.05, 0.0])
-    assert bumps.kept_out(free, now).clearance_at(nose) < 0.06
-    assert bumps.kept_out(free, now + MEMORY_NS) is free
+    assert memory.kept_out(free, now).clearance_at(nose) < 0.06
+    assert memory.kept_out(free, now + MEMORY_NS) is free
     start = SE2.from_xyt(0.04 * first, 0.0, 0.0)
-    assert bumps.escaping(first * 200_000_000, start) == Twist(-0.1, 0.0)
-    assert bumps.escaping(first * 200_000_000, start @ SE2.from_xyt(-0.26, 0.0, 0.0)) is None
-    assert bumps.escape is None
+    assert reflex.command(first * 200_000_000, start) == Twist(-0.1, 0.0)
+    assert reflex.command(first * 200_000_000, start @ SE2.from_xyt(-0.26, 0.0, 0.0)) is None
+    assert reflex.escape is None

@@ -1,8 +1,6 @@
 """Relocalisation: a robot that is lost, kidnapped or blind stops, recovers its pose, or gives a reason."""
 
 import math
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,14 +11,9 @@ from turtlebag.pipeline.localisation.lost_detection import DOUBTS
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver_setup import Request, prepare
 from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.goal_states import Event, Machine
 from turtlebag.pipeline.navigation.navigator import LOST
-from turtlebag.pipeline.navigation.relocalisation_states import (
-    TRANSITIONS,
-    Event,
-    RelocalisationStates,
-    RelocaliseConfig,
-    State,
-)
+from turtlebag.pipeline.navigation.pose_watch import PoseWatch, RelocaliseConfig
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.sim.faults import FaultConfig
@@ -148,34 +141,38 @@ def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(true_map):
     assert episode.metrics["time_s"] < 35.0
 
 
+def watch(**config):
+    return PoseWatch(RelocaliseConfig(**config), Machine())
+
+
 def test_a_few_doubts_are_nothing_and_many_stop_the_robot():
-    task = RelocalisationStates(RelocaliseConfig(look=5.0))
+    task = watch(look=5.0)
     few = DOUBTS - 1
-    assert [task.update(k * S, True, False, k) for k in range(1, DOUBTS)] == ["drive"] * few
-    assert task.update(3 * S, True, True, 3) == "drive"
+    assert [task.update(k * S, True, False, k) for k in range(1, DOUBTS)] == ["wait"] * few
+    assert task.update(3 * S, True, True, 3) == "wait"
     # Time alone, without the filter being asked, is no doubt.
-    assert [task.update(k * S, False, True, 3) for k in range(4, 20)] == ["drive"] * 16
+    assert [task.update(k * S, False, True, 3) for k in range(4, 20)] == ["wait"] * 16
     doubts = [task.update((20 + k) * S, False, True, 4 + k) for k in range(DOUBTS)]
-    assert doubts == ["drive"] * few + ["look"]
+    assert doubts == ["wait"] * few + ["look"]
     assert task.update(23 * S, True, True, 8) == "look"
-    assert task.update(24 * S, True, True, 9) == "drive"
+    assert task.update(24 * S, True, True, 9) == "wait"
 
 
 def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place():
-    task = RelocalisationStates(RelocaliseConfig(look=5.0))
+    task = watch(look=5.0)
     assert [task.update(S, True, False, k) for k in range(1, DOUBTS + 1)][-1] == "look"
-    assert task.update(6 * S, True, False, 9) == "drive"
-    assert [task.update((6 + k) * S, True, False, 10 + k) for k in range(1, 10)] == ["drive"] * 9
+    assert task.update(6 * S, True, False, 9) == "wait"
+    assert [task.update((6 + k) * S, True, False, 10 + k) for k in range(1, 10)] == ["wait"] * 9
     assert [task.update(22 * S, True, False, 30 + k) for k in range(DOUBTS)][-1] == "look"
 
 
 def test_what_it_does_when_it_never_finds_out_is_bounded():
-    task = RelocalisationStates(RelocaliseConfig(look=5.0, roam=10.0, restarts=2))
+    task = watch(look=5.0, roam=10.0, restarts=2)
     said = [task.update(k * S, False, False, k) for k in range(1, 60)]
     turns = [a for a, b in zip(said, [None, *said], strict=False) if a != b]
-    assert turns[:10] == ["drive", *["look", "roam", "restart"] * 2, "look", "roam", "give_up"]
-    # From then on it drives, and doubts again: the next goal gets as many tries.
-    assert turns[10:12] == ["drive", "look"]
+    assert turns[:10] == ["wait", *["look", "roam", "restart"] * 2, "look", "roam", "give_up"]
+    # From then on it may drive, and doubts again: the next goal gets as many tries.
+    assert turns[10:12] == ["wait", "look"]
 
 
 def test_a_goal_that_runs_out_of_time_says_what_the_trouble_was():
@@ -198,29 +195,11 @@ def test_an_exploration_that_never_saw_anything_did_not_succeed():
     assert episode.metrics["success"] is False
 
 
-def test_every_state_is_left_again_and_every_transition_begins_and_ends_in_one():
-    assert {state for state, _ in TRANSITIONS} == set(State)
-    assert set(TRANSITIONS.values()) == set(State) - {State.WIGGLE}
-    assert {event for _, event in TRANSITIONS} == set(Event)
-
-
-def test_the_diagram_in_the_docs_is_the_table_of_transitions():
-    page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text()
-    drawn = re.findall(r"^    (\w+) --> (\w+): (\w+)$", page, re.MULTILINE)
-    table = [(str(a), str(b), event.name.lower()) for (a, event), b in TRANSITIONS.items()]
-    assert sorted(drawn) == sorted(table)
-
-
 def test_doubts_in_a_row_are_counted_while_hypotheses_are_compared():
-    machine = RelocalisationStates(RelocaliseConfig())
-    assert machine.update(1 * S, False, True, 1) == "drive"
-    machine.on(Event.ALIASED, 1 * S, 1)
-    assert machine.update(2 * S, True, True, 2) == "disambiguate"
-    assert machine.update(3 * S, False, True, 3) == "disambiguate"
-    machine.on(Event.DECIDED, 3 * S, 3)
-    assert machine.update(4 * S, False, True, 4) == "look"
-
-
-def test_an_event_that_a_state_does_not_know_is_an_error():
-    with pytest.raises(KeyError):
-        RelocalisationStates(RelocaliseConfig()).on(Event.FOUND, 0, 0)
+    task = watch()
+    assert task.update(1 * S, False, True, 1) == "wait"
+    task.on(Event.ALIASES, 1 * S, 1)
+    assert task.update(2 * S, True, True, 2) == "disambiguate"
+    assert task.update(3 * S, False, True, 3) == "disambiguate"
+    task.on(Event.DECISION, 3 * S, 3)
+    assert task.update(4 * S, False, True, 4) == "look"

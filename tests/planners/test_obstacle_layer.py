@@ -81,7 +81,7 @@ def empty(rows=40, cols=50, T=None):
 
 
 def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits():
-    config = Marking(hits=2, decay=5.0, known=0.0, obstacle_range=9.0)
+    config = Marking(hits=2, decay=5.0, wall_margin=0.0, obstacle_range=9.0)
     layer = ObstacleLayer(empty(), config)
     T = layer.static.T_map_grid
     origin, post = T @ SE2.from_xyt(1.05, 1.05, 1.0), T @ np.array([[2.55, 3.05]])
@@ -122,7 +122,7 @@ def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits():
 
 @pytest.mark.parametrize("marked", [[(0, 0)], [(39, 49)], [(0, 7), (12, 49)], [(20, 20), (22, 25)]])
 def test_near_marked_cells_the_clearance_is_that_of_both(marked):
-    layer = ObstacleLayer(empty(), Marking(hits=1, known=0.0, obstacle_range=99.0))
+    layer = ObstacleLayer(empty(), Marking(hits=1, wall_margin=0.0, obstacle_range=99.0))
     mask = np.zeros((40, 50), dtype=bool)
     mask[tuple(np.transpose(marked))] = True
     exact = clearance_field(layer.static.lethal | mask, RES)
@@ -168,7 +168,7 @@ def test_the_nearest_free_cell_is_that_of_the_least_gap_within_reach():
 
 
 def window(side=4.0, shift=0.5, centre=(0.23, -0.31)):
-    config = Marking(known=0.0, hits=1, decay=60.0, obstacle_range=9.0)
+    config = Marking(wall_margin=0.0, hits=1, decay=60.0, obstacle_range=9.0)
     return RollingLayer(np.array(centre), side, RES, shift, config)
 
 

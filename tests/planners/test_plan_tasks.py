@@ -6,7 +6,8 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, RelocaliseConfig
+from turtlebag.pipeline.navigation.goal_states import Event, Machine
+from turtlebag.pipeline.navigation.pose_watch import PoseWatch, RelocaliseConfig
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.recovery import Ladder, Move, ProgressWatch, RecoveryConfig, Rung, Wait
 from turtlebag.planners.tasks.waypoints import Waypoint, parse_polygons, parse_waypoint, parse_waypoints
@@ -83,16 +84,16 @@ def test_progress_is_a_move_or_a_turn_large_enough_within_the_time():
 
 def test_a_lost_robot_keeps_its_times():
     config = RelocaliseConfig(look=5.0, roam=45.0, restarts=1)
-    r = RelocalisationStates(config)
+    r = PoseWatch(config, Machine())
     at = lambda s, narrow, agrees, updates: r.update(round(s * S), narrow, agrees, updates)  # noqa: E731
     assert [at(0, False, True, 1), at(1, False, True, 1), at(2, True, True, 2), at(3, False, True, 3)] == [
-        "drive"
+        "wait"
     ] * 4
     assert at(4, True, False, 4) == "look"
     # settled needs an update since, and its whole second
     assert [at(5, True, True, 4), at(6.5, True, True, 4), at(6.6, False, True, 5)] == ["look"] * 3
-    assert [at(7, True, True, 5), at(7.99, True, True, 5), at(8, True, True, 5)] == ["look", "look", "drive"]
-    r.on(Event.DOUBTED, 20 * S, 9)
+    assert [at(7, True, True, 5), at(7.99, True, True, 5), at(8, True, True, 5)] == ["look", "look", "wait"]
+    r.on(Event.DOUBT, 20 * S, 9)
     assert [at(24.9, False, False, 10), at(25, False, False, 10)] == ["look", "roam"]
     assert [at(69.9, False, True, 11), at(70, False, True, 11)] == ["roam", "restart"]
     assert [at(70.1, False, True, 12), at(75.0, False, True, 12), at(75.1, False, True, 13)] == [
@@ -100,16 +101,14 @@ def test_a_lost_robot_keeps_its_times():
         "look",
         "roam",
     ]
-    assert [at(120.1, False, True, 14), at(120.2, False, True, 14)] == ["give_up", "drive"]
+    assert [at(120.1, False, True, 14), at(120.2, False, True, 14)] == ["give_up", "wait"]
     # a narrow cloud after looking about is trusted, for a while, whatever the scans say
-    r.on(Event.DOUBTED, 200 * S, 20)
+    r.on(Event.DOUBT, 200 * S, 20)
     assert [at(205, True, False, 20), at(206, True, False, 21)] == ["roam", "roam"]
-    r = RelocalisationStates(config)
-    r.on(Event.DOUBTED, 300 * S, 30)
-    assert [at(304, True, False, 31), at(305, True, False, 31)] == ["look", "drive"]
-    assert [at(319.9, True, False, 40), at(319.95, True, False, 41), at(320, True, False, 42)] == [
-        "drive"
-    ] * 3
+    r = PoseWatch(config, Machine())
+    r.on(Event.DOUBT, 300 * S, 30)
+    assert [at(304, True, False, 31), at(305, True, False, 31)] == ["look", "wait"]
+    assert [at(319.9, True, False, 40), at(319.95, True, False, 41), at(320, True, False, 42)] == ["wait"] * 3
     assert at(320.1, True, False, 43) == "look"
 
 

@@ -24,6 +24,7 @@ from turtlebag.pipeline.slam.odometry.tracker import Tracker, track_log
 from turtlebag.pipeline.slam.odometry.wheels import Wheels
 from turtlebag.pipeline.slam.scans.clouds import make_clouds, point_information
 from turtlebag.pipeline.slam.scans.correspondences import Limits
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 TRUTH = around_the_room(75, laps=1.3)
 ERRORS_M = {"lines": 0.008, "kiss_icp": 0.012, "wheels": 0.012}
@@ -102,8 +103,7 @@ def test_the_manifest_names_the_parts(log, tmp_path):
 
 
 def tracked(log, make, **changed):
-    clouds, config = make_clouds(log, 30.0), TrackingConfig(**changed)
-    return track_log(log, clouds, config, 30.0, range(1, len(log)), make)
+    return track_log(Scans.of(log, 30.0), TrackingConfig(**changed), make)
 
 
 @pytest.mark.slow
@@ -180,7 +180,7 @@ def test_the_motion_over_a_gap_is_not_expected_to_go_on(log):
     made, stamps = [], log.stamps_ns.copy()
     stamps[40:] += 3_000_000_000
     track_log(
-        replace(log, stamps_ns=stamps), make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, 60),
+        Scans.of(replace(log, stamps_ns=stamps), 30.0), TrackingConfig(),
         lambda tracker: made.append(Speeds(tracker)) or made[0],
     )  # fmt: skip
     steps = log.T_odom_base.steps()

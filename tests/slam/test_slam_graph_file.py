@@ -48,13 +48,13 @@ def assert_same(a, b):
         np.testing.assert_array_equal(a, b)
     elif isinstance(a, SE2):
         np.testing.assert_array_equal(a.xyt, b.xyt)
-    elif isinstance(a, list):
+    elif isinstance(a, list | tuple):
         assert len(a) == len(b)
         for one, other in zip(a, b, strict=True):
             assert_same(one, other)
     elif hasattr(a, "__dataclass_fields__"):
         for field in fields(a):
-            if field.name not in ("clouds", "clouds_of", "key"):
+            if field.name != "key":
                 assert_same(getattr(a, field.name), getattr(b, field.name))
     else:
         assert a == b or (isinstance(a, float) and np.isnan(a) and np.isnan(b))
@@ -73,8 +73,6 @@ def test_session_is_read_back_to_the_last_bit(tmp_path, result):
     again, config = load_session(tmp_path)
     assert config == SlamConfig()
     assert_same(again, session)
-    for name in ("points", "normals", "table"):
-        np.testing.assert_array_equal(getattr(again.clouds(), name), getattr(session.clouds(), name))
     before = (tmp_path / FILE).read_bytes()
     save_session(tmp_path / FILE, again, config)
     assert (tmp_path / FILE).read_bytes() == before

@@ -24,6 +24,7 @@ from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 WHEELS = Wheels(0.02, -0.03, 0.003)
 ROUTE = [
@@ -148,7 +149,7 @@ def test_who_stops_beside_the_robot_does_not_move_it_to_a_place_that_looks_alike
     poses = np.vstack([driven, np.tile(driven[-1], (3, 1))])
     alone, beside = (recording(bays(*places), poses, odometry=poses) for places in ((4.0,), (4.0, 3.0)))
     log = replace(alone, ranges=np.vstack([alone.ranges[:131], beside.ranges[131:]]))
-    track = track_log(log, make_clouds(log, 8.0), TrackingConfig(), 8.0, range(1, len(log)), Lines)
+    track = track_log(Scans.of(log, 8.0), TrackingConfig(), Lines)
     assert np.abs(track.T_track_base.xyt - poses).max() < 0.03
 
 

@@ -23,6 +23,7 @@ from turtlebag.pipeline.slam.online.loops import GrowingLoops
 from turtlebag.pipeline.slam.online.mapper import Kept, Mapper
 from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 TRUE = around_the_room(240, laps=3)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
@@ -241,7 +242,7 @@ def test_the_odometry_is_calibrated_whenever_the_key_scans_have_doubled_and_at_t
             calibrated.append(len(tracker.keys))
     assert 128 < len(tracker.keys) < 256
     assert calibrated == [2, 4, 8, 16, 32, 64, 128]
-    track = track_log(LOG, clouds, config, 8.0, range(1, len(LOG)), Wheels)
+    track = track_log(Scans(LOG, 8.0, NOISE, None), config, Wheels)
     assert track.calibration.pairs > tracker.calibration.pairs > 0
 
 

@@ -18,16 +18,11 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
 from turtlebag.pipeline.slam.loops import submaps
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
-from turtlebag.pipeline.slam.scans.clouds import make_clouds
-from turtlebag.pipeline.slam.scans.parts import among, chosen, clouds_maker
+from turtlebag.pipeline.slam.scans.clouds import PER_POINT, make_clouds
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 POSES = around_the_room(60)
 LOG = recording(ROOM, POSES, LDS, odometry=drifted(POSES))
-
-
-def arrays(one):
-    """The arrays of clouds."""
-    return {name: np.asarray(value) for name, value in one._asdict().items()}
 
 
 @pytest.mark.slow
@@ -48,38 +43,26 @@ def test_a_log_is_read_in_little_more_memory_than_its_text_and_its_numbers():
 @pytest.mark.slow
 def test_only_the_points_of_key_scans_stay_in_memory():
     result = run_slam(LOG, SlamConfig())
-    kept, keys = result.session.clouds(), result.keys
+    kept, keys = result.session.key_scans.clouds, result.keys
     assert 0 < len(keys) < len(LOG)
     assert len(kept.points) == sum(len(make_clouds(LOG, 30.0).of(int(key))) for key in keys)
     assert np.count_nonzero(np.diff(kept.starts)) == len(keys)
 
 
-def test_clouds_of_a_long_log_are_made_as_they_are_asked_for_and_the_same():
-    short, long = clouds_maker(LOG, 30.0, None), clouds_maker(LOG, 30.0, None, few_readings=0)
-    for scans in (None, np.array([0, 3, 4, 41])):
-        for name, value in arrays(long(scans)).items():
-            np.testing.assert_array_equal(value, arrays(short(scans))[name])
-    assert short(None) is short(None)
-    assert long(None) is not long(None)
-
-
 def test_clouds_of_some_scans_are_those_of_all():
-    whole, some = make_clouds(LOG, 30.0), np.array([0, 3, 4, 41])
-    for found in (make_clouds(LOG, 30.0, scans=some), chosen(whole, some)):
-        sparse = among(found, some, len(LOG))
-        assert arrays(chosen(sparse, some)).keys() == arrays(found).keys()
-        for name, value in arrays(chosen(sparse, some)).items():
-            np.testing.assert_array_equal(value, arrays(found)[name])
-        for k, scan in enumerate(some.tolist()):
-            np.testing.assert_array_equal(found.of(k), whole.of(scan))
-            np.testing.assert_array_equal(sparse.of(scan), whole.of(scan))
-            seen = whole.table[scan] >= 0
-            np.testing.assert_array_equal(found.table[k] >= 0, seen)
-            np.testing.assert_array_equal(
-                found.points[found.table[k][seen]], whole.points[whole.table[scan][seen]]
-            )
-        assert len(sparse.of(1)) == 0
-        assert (sparse.table[1] == -1).all()
+    scans, some = Scans.of(LOG, 30.0), np.array([0, 3, 4, 41])
+    whole, (found, numbers) = scans.clouds(), scans.of_keys(some)
+    assert numbers.tolist() == [0, 1, 2, 3]
+    assert found.points.shape == (sum(len(whole.of(scan)) for scan in some.tolist()), 2)
+    for k, scan in enumerate(some.tolist()):
+        rows, rows_of_all = (slice(*one.starts[i : i + 2]) for one, i in ((found, k), (whole, scan)))
+        for name in PER_POINT:
+            np.testing.assert_array_equal(getattr(found, name)[rows], getattr(whole, name)[rows_of_all])
+        seen = whole.table[scan] >= 0
+        np.testing.assert_array_equal(found.table[k] >= 0, seen)
+        np.testing.assert_array_equal(
+            found.points[found.table[k][seen]], whole.points[whole.table[scan][seen]]
+        )
 
 
 def test_a_map_that_is_surely_too_large_is_refused_before_it_is_drawn():

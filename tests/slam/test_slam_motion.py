@@ -9,19 +9,21 @@ from tests.helpers.exact_rays import ranges_to, rectangle
 from tests.helpers.made_drives import Sensor, Wheels, make_log, sick
 from tests.helpers.made_logs import office_plan, office_route
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, recording
-from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED
+from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
 from turtlebag.pipeline.slam.odometry.calibration import calibrate
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
-from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.scans.align import Prior, align
-from turtlebag.pipeline.slam.scans.clouds import make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
+from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.stages.localise import sweep_ends
 
 SWEEP_S = 0.2
@@ -30,8 +32,8 @@ BACKWARDS = replace(TURNING, time_increment=-SWEEP_S / 360)
 SWEEPS = {
     "forwards": TURNING,
     "backwards": BACKWARDS,
-    "upside down": turned_over(TURNING),
-    "upside down and backwards": turned_over(BACKWARDS),
+    "upside down": TURNING.turned_over(),
+    "upside down and backwards": BACKWARDS.turned_over(),
 }
 FOUR_WALLS = rectangle(0.0, 0.0, 8.0, 6.0)
 T_BASE_LIDAR = SE2.from_xyt(0.1, 0.05, 0.4)
@@ -100,16 +102,14 @@ def test_a_turning_robot_maps_as_well_whichever_way_its_lidar_turns(lidar):
     sensor = Sensor(lidar, SWEEP_S, T_base_lidar=(0.1, 0.05, 0.4))
     route = np.array([(16.0, 7.0), (27.0, 7.0), (27.0, 12.0), (27.0, 7.0), (24.0, 7.0)])
     log = make_log("turns", office_plan(1), route, sensor, wheels=Wheels(0.0, 0.0, 0.0, 0.0, 0.0))
-    clouds = make_clouds(log.recording, 8.0)
-    track = track_log(log.recording, clouds, TrackingConfig(), 8.0, range(1, len(log.recording)), Lines)
+    track = track_log(Scans.of(log.recording, 8.0), TrackingConfig(), Lines)
     assert np.linalg.norm(track.T_track_base.xy - log.truth.poses.xy, axis=1).max() < 0.03
 
 
 def test_a_correction_is_shared_out_between_the_key_scans_before_and_after():
     poses = np.column_stack([0.1 * np.arange(9), np.zeros((9, 2))])
     log = recording(ROOM, poses + np.array([1.0, 1.0, 0.0]), odometry=poses)
-    clouds = make_clouds(log, 30.0)
-    track = replace(dead_reckoning(log, clouds), keys=np.array([0, 4, 8]))
+    track = replace(dead_reckoning(log), keys=np.array([0, 4, 8]))
     T_map_keys = SE2.from_array(poses[[0, 4, 8]] + [[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.4, 0.0]])
     gap = np.array([[1, 2]])
     carried = carried_poses(track.T_track_base, track.keys, T_map_keys)
@@ -152,8 +152,7 @@ def test_what_the_scans_taught_about_the_wheels_carries_a_blind_robot():
     odometry = drifted(truth, scale=1.08, bias=0.0)
     log = recording(ROOM, truth, LDS, odometry=odometry)
     log.ranges[len(lap) :] = np.inf
-    clouds = make_clouds(log, 30.0)
-    track = track_log(log, clouds, TrackingConfig(), 30.0, range(1, len(log)), Lines)
+    track = track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
     way = track.T_track_base[len(lap) - 1].inverse() @ track.T_track_base[-1]
     assert float(way.x) == pytest.approx(3.0, abs=0.06)
     told = SE2(odometry[len(lap) - 1]).inverse() @ SE2(odometry[-1])

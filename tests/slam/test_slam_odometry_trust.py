@@ -8,8 +8,9 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track
-from turtlebag.pipeline.slam.odometry.trust import OdometryTrust, distrusted, unobserved_way
+from turtlebag.pipeline.slam.odometry.trust import OdometryTrust
 from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE, contradiction
 
 
@@ -74,12 +75,11 @@ def test_distrusted_wheels_count_for_nothing_where_scans_observe_little_either()
     little = np.broadcast_to(np.diag([3e4, 1e6, 1e6]), (20, 3, 3))
     source, none = np.zeros(20, np.int8), np.zeros(20)
     track = Track(SE2(poses), n, none + 1.0, none, little, source, np.zeros((19, 3)), Calibration(), n >= 0)
-    border = np.zeros(0, dtype=np.int64)
-    doubted = distrusted(log, track, OdometryNoise(), border)
-    assert not doubted[:8].any()
-    assert doubted[12:].all()
+    evidence = evidence_of(log, track, OdometryNoise())
+    assert not evidence.distrusted[:8].any()
+    assert evidence.distrusted[12:].all()
     # what the scans saw needs no other evidence
-    assert not unobserved_way(log, track, OdometryNoise(), border).any()
+    assert not evidence.unobserved_m.any()
 
 
 def unobserved_way_along(step, stamps_ns=None):
@@ -93,7 +93,7 @@ def unobserved_way_along(step, stamps_ns=None):
     track = Track(
         SE2(poses), n, none + 1.0, none, seen, source, np.diff(poses, axis=0), Calibration(), n >= 0
     )
-    return unobserved_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64))
+    return evidence_of(log, track, OdometryNoise()).unobserved_m
 
 
 def test_a_speed_that_no_scan_ever_confirmed_is_nobodys_word():
@@ -129,7 +129,7 @@ def test_a_log_of_one_scan_has_no_way_to_see():
         SE2(np.zeros((1, 3))), np.zeros(1, np.int64), one, one, BLIND[None], np.zeros(1, np.int8),
         np.zeros((0, 3)), Calibration(), one > 0,
     )  # fmt: skip
-    assert unobserved_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64)).tolist() == [0.0]
+    assert evidence_of(log, track, OdometryNoise()).unobserved_m.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("seed", range(4))

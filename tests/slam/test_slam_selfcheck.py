@@ -14,10 +14,10 @@ from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Kind
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
+from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig
-from turtlebag.pipeline.slam.odometry.trust import distrusted
-from turtlebag.pipeline.slam.scans.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans, make_clouds
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Session
 
@@ -31,7 +31,7 @@ def drive() -> tuple[Recording, Clouds, Track]:
     poses = around_the_room(60)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = dead_reckoning(log, clouds)
+    track = dead_reckoning(log)
     return log, clouds, replace(track, overlap=np.ones(60), information=np.tile(1e5 * np.eye(3), (60, 1, 1)))
 
 
@@ -47,8 +47,9 @@ def checked(log, clouds, track, T_keys, constraints, breaks=NONE, borders=NONE, 
     torn = TrackBreaks(no, np.isin(track.keys[1:], breaks), no, np.zeros((0, 2), dtype=np.int64))
     joined = [replace(c, kind=Kind.BORDER) if track.keys[c.j] in borders else c for c in constraints]
     graph = Graph(T_keys, joined, [], [], ~no)
-    session = Session(log, lambda: clouds, None, None, track, torn, graph, RangeCalibration())
-    return check_map(session, track.T_track_base, OdometryNoise(), certainty)
+    evidence, keys = evidence_of(log, track, OdometryNoise(), borders), KeyScans(clouds, track.keys)
+    session = Session(log, keys, None, track, evidence, torn, graph, RangeCalibration())
+    return check_map(session, track.T_track_base, certainty)
 
 
 def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, step_sigma=1e-4, **changes):
@@ -58,7 +59,7 @@ def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, 
     track = replace(track, **changes)
     T_keys, noise = track.T_track_base[track.keys], OdometryNoise()
     if step_sigma is None:
-        steps = step_constraints(track, TrackingConfig(), distrusted(log, track, noise, borders))
+        steps = step_constraints(track, TrackingConfig(), evidence_of(log, track, noise, borders).distrusted)
     else:
         steps = held(T_keys, step_sigma)
     return checked(log, clouds, track, T_keys, steps, breaks, borders, certainty).reasons
@@ -95,7 +96,7 @@ def test_a_room_drawn_twice_contradicts_itself(shift, doubled):
     poses = around_the_room(120, laps=2)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = replace(dead_reckoning(log, clouds), overlap=np.ones(120))
+    track = replace(dead_reckoning(log), overlap=np.ones(120))
     drawn = track.T_track_base[track.keys].xyt.copy()
     drawn[len(drawn) // 2 :] += [shift, 0.0, 0.0]
     found = checked(log, clouds, track, SE2(drawn), held(SE2(drawn), 1e-4))
@@ -135,7 +136,7 @@ def long_drive() -> tuple[Recording, Clouds, Track]:
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
     seen = np.tile(1e5 * np.eye(3), (500, 1, 1))
-    return log, clouds, replace(dead_reckoning(log, clouds), overlap=np.ones(500), information=seen)
+    return log, clouds, replace(dead_reckoning(log), overlap=np.ones(500), information=seen)
 
 
 @pytest.mark.slow
@@ -230,7 +231,7 @@ def test_places_seen_again_hold_a_stretch_that_nobody_saw(drive):
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
     track = replace(track, odometry_steps=None, information=seen)
     log, T_keys, noise = replace(log, T_odom_base=None), track.T_track_base[track.keys], OdometryNoise()
-    steps = step_constraints(track, TrackingConfig(), distrusted(log, track, noise, NONE))
+    steps = step_constraints(track, TrackingConfig(), evidence_of(log, track, noise, NONE).distrusted)
     ends = [(0, k) for k in range(2, len(T_keys))]
     loops = [
         Constraint(i, j, (T_keys[i].inverse() @ T_keys[j]).xyt, 1e5 * np.eye(3), Kind.LOOP) for i, j in ends

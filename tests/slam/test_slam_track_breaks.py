@@ -9,11 +9,13 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_parts, track_breaks_of
+from turtlebag.pipeline.slam.loops.by_appearance import joined_parts
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, breaks_of
+from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
-from turtlebag.pipeline.slam.scans.clouds import make_clouds
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 
 def breaks_at(n: int, broken: tuple[int, ...], against: tuple[int, ...]) -> TrackBreaks:
@@ -42,6 +44,10 @@ def test_breaks_part_the_log_until_a_place_joins_it():
     assert released.tolist() == [False, True, False, False, True, False]
 
 
+def judged(log: Recording, track: Track) -> TrackBreaks:
+    return breaks_of(track, evidence_of(log, track, OdometryNoise()))
+
+
 def scans_with_a_gap(odometry_agrees: bool, wait_s: int = 10) -> tuple[Recording, Track]:
     truth = around_the_room(60)
     odometry = SE2.from_array(truth)
@@ -51,13 +57,12 @@ def scans_with_a_gap(odometry_agrees: bool, wait_s: int = 10) -> tuple[Recording
         late = SE2.from_xyt(5.0, 2.0, 1.0) @ odometry[30:]
         odometry = SE2(np.concatenate([odometry.xyt[:30], late.xyt]))
     log = Recording("gap", stamps, log.ranges, log.lidar, log.T_base_lidar, odometry)
-    scans = range(1, 60)
-    return log, track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, scans, Lines)
+    return log, track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
 
 
 @pytest.mark.parametrize("agrees", [True, False])
 def test_gap_breaks_the_track_unless_scans_and_odometry_confirm_each_other(agrees):
-    breaks = track_breaks_of(*scans_with_a_gap(agrees))
+    breaks = judged(*scans_with_a_gap(agrees))
     assert breaks.broken.sum() == (0 if agrees else 1)
     assert breaks.contradicted.sum() == (0 if agrees else 1)
     assert breaks.gaps.tolist() == ([] if agrees else [[29, 30]])
@@ -69,7 +74,7 @@ def test_after_a_long_gap_a_scan_that_hardly_fits_confirms_nothing(wait_s, overl
     log, track = scans_with_a_gap(odometry_agrees=True, wait_s=wait_s)
     fits = track.overlap.copy()
     fits[30] = overlap
-    breaks = track_breaks_of(log, replace(track, overlap=fits))
+    breaks = judged(log, replace(track, overlap=fits))
     assert breaks.broken.sum() == broken
     assert not (breaks.alone | breaks.contradicted).any()
 
@@ -86,7 +91,7 @@ def test_after_a_gap_the_odometry_has_it_where_scans_fit_by_chance():
         ranges=np.vstack([log.ranges[:30], other.ranges[30:]]),
         T_odom_base=SE2(np.concatenate([odometry.xyt[:30], driven.xyt])),
     )
-    track = track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, 60), Lines)
+    track = track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
     off = track.T_track_base[29].inverse() @ track.T_track_base[30]
     off = between((log.T_odom_base[29].inverse() @ log.T_odom_base[30]).xyt, off.xyt)
     assert np.hypot(*off[:2]) < 0.5
@@ -106,7 +111,7 @@ def test_after_a_gap_wheels_that_were_wrong_before_and_scans_that_surely_fit_are
         odometry.append(compose(odometry[-1], step))
     log = recording(ROOM, poses, SICK, odometry=np.array(odometry))
     log = replace(log, stamps_ns=log.stamps_ns + np.where(np.arange(len(poses)) >= 30, 3 * 10**9, 0))
-    track = track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, len(poses)), Lines)
+    track = track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
     truth, found = (T[0].inverse() @ T for T in (SE2.from_array(poses), track.T_track_base))
     assert np.linalg.norm(truth.xy - found.xy, axis=1).max() < 0.1
 
@@ -115,16 +120,16 @@ def test_a_scan_that_fits_nothing_seen_before_breaks_the_track_though_none_is_mi
     """Scans of another place for a tenth of a log: 13 m off, and called good."""
     log, track = scans_with_a_gap(odometry_agrees=True)
     log = replace(log, stamps_ns=np.arange(60, dtype=np.int64) * 200_000_000)
-    assert not track_breaks_of(log, track).broken.any()
+    assert not judged(log, track).broken.any()
     overlap = track.overlap.copy()
     overlap[[20, 21]] = 0.1
-    breaks = track_breaks_of(log, replace(track, overlap=overlap))
+    breaks = judged(log, replace(track, overlap=overlap))
     step = int(np.searchsorted(track.keys, 20)) - 1
     assert np.flatnonzero(breaks.broken).tolist() == np.flatnonzero(breaks.alone).tolist() == [step]
     assert breaks.gaps.tolist() == [[19, 20]]
     # of a scan without surfaces nothing is asked
     usable = track.usable & ~np.isin(np.arange(60), [20, 21])
-    assert not track_breaks_of(log, replace(track, overlap=overlap, usable=usable)).broken.any()
+    assert not judged(log, replace(track, overlap=overlap, usable=usable)).broken.any()
 
 
 @pytest.mark.parametrize(("wait_s", "moved_m", "broken"), [(3, 0.2, 0), (3, 0.8, 0), (9, 0.2, 1)])
@@ -136,7 +141,7 @@ def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, mov
     stamps = log.stamps_ns + np.where(np.arange(20) >= 10, wait_s * 10**9, 0)
     log = replace(log, stamps_ns=stamps)
     along = np.tile(np.diag([0.0, 1e4, 1e4]), (20, 1, 1))
-    track = dead_reckoning(log, make_clouds(log, 30.0))
+    track = dead_reckoning(log)
     keys = np.arange(20)
     blind = replace(track, keys=keys, information=along, overlap=np.ones(20), usable=np.ones(20, dtype=bool))
-    assert track_breaks_of(log, blind).broken.sum() == broken
+    assert judged(log, blind).broken.sum() == broken

@@ -10,20 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import FASTER, GAP_S, without_gap
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.check.verdict import Verdict
 from turtlebag.pipeline.slam.grid import Certainty
-from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
-from turtlebag.pipeline.slam.odometry.trust import jumps, unobserved_way
-from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.scans.clouds import FASTER, GAP_S
-from turtlebag.pipeline.slam.scans.free_space import MOST_PAIRS, NEAR_M, free_space_violations
+from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
+from turtlebag.pipeline.slam.odometry.evidence import Evidence
+from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
 from turtlebag.pipeline.slam.sensors.turn_comparison import odometry_stream, usual_period
 from turtlebag.pipeline.slam.sessions import Session
 
@@ -53,18 +51,17 @@ class SelfCheck(Verdict):
     reasons: tuple[str, ...]
 
 
-def check_map(session: Session, T_map_base: SE2, noise: OdometryNoise, certainty: Certainty) -> SelfCheck:
-    """Check a finished map with these poses of all scans (n,). `noise` is that assumed for the odometry,
-    `certainty` is the grid's."""
-    recording, borders, breaks = session.recording, session.borders, session.unconfirmed
+def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCheck:
+    """Check a finished map with these poses of all scans (n,). `certainty` is the grid's."""
+    recording, evidence, breaks = session.recording, session.evidence, session.unconfirmed
     track, T_map_keys = session.track, session.graph.T_map_keys
     pairs = revisits_of(T_map_keys)
-    share = free_space_violations(session.clouds(), track.keys, T_map_keys.xyt, pairs)
+    share = free_space_violations(*session.key_scans, T_map_keys.xyt, pairs)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
     bad = float(np.mean(share > BAD_SHARE)) if len(share) else 0.0
-    lost = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
+    lost = np.flatnonzero(track.usable & ~track.fits)
     reasons = []
     alone = contradicted_keys(pairs, share, BAD_SHARE)
     if bad > MOST_WRONG or len(alone) > MOST_CONTRADICTED:
@@ -89,19 +86,18 @@ def check_map(session: Session, T_map_base: SE2, noise: OdometryNoise, certainty
     empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
-    reasons += _jumps(recording, track, T_map_base, borders)
-    slid = slides(recording, T_map_base, borders)
+    reasons += _jumps(evidence, T_map_base, _steps_in_gap(recording))
+    slid = slides(recording, T_map_base, evidence.borders)
     if len(slid):
         reasons.append(
             f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
         )
-    unobserved = unobserved_way(recording, track, noise, borders)
-    constraints = session.graph.constraints
-    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved))
+    constraints, unobserved_m = session.graph.constraints, evidence.unobserved_m
+    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved_m))
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]
-        missed = unobserved.sum()
+        missed = unobserved_m.sum()
         blind = f"; scans and odometry missed {missed:.1f} m of the path" if missed > 0.0 else ""
         reasons.append(
             f"the pose graph is uncertain near x {x:.1f}, y {y:.1f} by {sigma:.2f} m (one standard "
@@ -114,10 +110,8 @@ def check_map(session: Session, T_map_base: SE2, noise: OdometryNoise, certainty
 
 def revisits_of(T_map_keys: SE2) -> NDArray[np.int64]:
     """Pairs (n, 2) of keys that are near in place and far in time, in order."""
-    pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(NEAR_M, output_type="ndarray")
-    pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= APART_KEYS]
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return np.asarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)], dtype=np.int64)
+    pairs = visits(T_map_keys.xy)
+    return thinned(pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= APART_KEYS])
 
 
 def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> NDArray[np.int64]:
@@ -129,10 +123,10 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * against > visits)
 
 
-def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
+def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
     """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
-    for over in (1, _steps_in_gap(recording)):
-        jumped = jumps(recording, track, T_map_base, borders, over)
+    for over in (1, steps_in_gap):
+        jumped = evidence.jumps(T_map_base, over)
         if len(jumped):
             return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"]
     return []
@@ -166,8 +160,7 @@ def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) ->
 
 def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which of these stamps (n,) are followed by the next without a gap, (n - 1,)."""
-    waits = seconds(np.diff(stamps_ns))
-    return np.asarray((waits > 0.0) & (waits < GAP_S))
+    return without_gap(seconds(np.diff(stamps_ns)))
 
 
 def _sideways(T_map_base: SE2) -> Array:

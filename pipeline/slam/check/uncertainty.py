@@ -12,12 +12,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from turtlebag.datasets.motion import way_and_turn
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.graph.drift import covariances, plane_motions
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis
 from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.scans.clouds import way_and_turn
 
 # This many keys are evaluated, evenly spaced over the log.
 ASKED = 50
@@ -73,11 +73,11 @@ def position_sigmas(
     return asked, np.sqrt(np.maximum(largest, 0.0))
 
 
-def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved: Array) -> Iterator[Shared]:
+def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved_m: Array) -> Iterator[Shared]:
     """Errors that are the same in many constraints.
 
     The first three are the remaining errors of the odometry's calibration. Then, for each unobserved stretch
-    (`unobserved` [m] of each scan's step (n,)), the distance along both axes of the robot: a constant
+    (`unobserved_m` of each scan's step (n,)), the distance along both axes of the robot: a constant
     velocity was assumed, and is as wrong as it would be elsewhere in this log over as many scans.
     """
     odometry = [k for k, c in enumerate(constraints) if c.kind is Kind.WHEELS]
@@ -85,13 +85,13 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved: A
         effects = track.calibration.effects(np.array([constraints[k].T_i_j for k in odometry]))
         yield np.array(odometry), effects @ np.linalg.cholesky(track.calibration.covariance)
     motions = {c.i: k for k, c in enumerate(constraints) if c.kind in (Kind.STEADY, Kind.WHEELS)}
-    way = np.diff(np.cumsum(unobserved)[track.keys])
+    way = np.diff(np.cumsum(unobserved_m)[track.keys])
     stretches = np.flatnonzero(np.diff(np.concatenate([[0.0], way > 0.0, [0.0]])))
     for begin, end in stretches.reshape(-1, 2).tolist():
-        scans = unobserved[track.keys[begin] + 1 : track.keys[end] + 1]
+        scans = unobserved_m[track.keys[begin] + 1 : track.keys[end] + 1]
         # a log that ends unobserved may have ended anywhere along the way
         last = end == len(way)
-        off = 1.0 if last else _unsteadiness(track, unobserved, int(np.count_nonzero(scans)))
+        off = 1.0 if last else _unsteadiness(track, unobserved_m, int(np.count_nonzero(scans)))
         keys = [i for i in range(begin, end) if i in motions]
         if keys:
             of = np.array([motions[i] for i in keys])
@@ -103,12 +103,12 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved: A
             yield of, error
 
 
-def _unsteadiness(track: Track, unobserved: Array, scans: int) -> float:
+def _unsteadiness(track: Track, unobserved_m: Array, scans: int) -> float:
     """The relative error of a constant velocity over this many scans, where all are observed; 1 if there are
     hardly any such stretches."""
     T = track.T_track_base
     step = np.concatenate([[0.0], way_and_turn(T.steps())[:, 0]])
-    way, blind = np.cumsum(step), np.cumsum(unobserved > 0.0)
+    way, blind = np.cumsum(step), np.cumsum(unobserved_m > 0.0)
     start = np.arange(1, len(step) - scans)
     start = start[blind[start + scans] == blind[start - 1]]
     driven = way[start + scans] - way[start]

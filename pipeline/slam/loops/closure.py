@@ -2,44 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop, firm
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places, relaxed
-from turtlebag.pipeline.slam.loops.by_distance import BATCH, LoopClosing, LoopFinder, close_loops
+from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
+from turtlebag.pipeline.slam.progress import Progress
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 
-Progress = Callable[[Iterable[int], str, int], Iterable[int]]
+# A scan that the user placed is searched within this window [m], [rad].
+HAND_M, HAND_RAD = 0.5, 0.35
 
 
 def close_graph(
     scans: KeyScans,
-    T_map_keys: SE2,
+    graph: Graph,
     breaks: TrackBreaks,
-    steps: list[Constraint],
     by_distance: LoopClosing,
     by_looks: PlaceRecognitionConfig,
     progress: Progress,
 ) -> Graph:
-    """Close all loops of a track.
+    """Close all loops of a track, whose graph has only its steps.
 
     Distance means something only within unbroken parts of the log. Places recognised beyond its reach join
     these parts and reveal the drift; keys without a loop are then searched by distance again, from there.
     Loops that the user added come first; those that the user rejected are not tried.
     """
-    added, T_map_keys = _added(scans, T_map_keys, breaks, steps, by_distance)
+    steps = graph.constraints
+    added, T_map_keys = _added(scans, graph.T_map_keys, breaks, steps, by_distance)
     known = [by_distance.config.constraint(loop) for loop in added if loop.accepted]
     n = len(scans.keys)
 
     def close(start: SE2, part: NDArray[np.int64], known: list[Constraint]) -> LoopFinder:
-        batches = progress(range(-(-n // BATCH)), "closing loops", -(-n // BATCH))
-        return close_loops(scans, start, steps, by_distance, batches, part, known)
+        return close_loops(scans, start, steps, by_distance, part, known, progress)
 
     finder = close(T_map_keys, breaks.segments(), known)
     if not by_looks.enabled:

@@ -1,4 +1,4 @@
-"""Trust in odometry: whether scans, odometry, both or neither observed a motion."""
+"""Trust in the wheels, step by step: scans that contradict them several times end it."""
 
 from __future__ import annotations
 
@@ -6,70 +6,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.kernels import njit
-from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Recording
+from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.odometry.calibration import GROSS
-from turtlebag.pipeline.slam.odometry.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise
 from turtlebag.pipeline.slam.scans.align import contradiction
-from turtlebag.pipeline.slam.scans.clouds import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
 
 # Scans contradict a step of the odometry when the two are this many standard deviations apart; this many of
 # its last steps are taken together.
 CONTRADICTION_SIGMAS, RECENT = 2.5, 5
 # This many contradictions in a row are slipping wheels; one is a jump, or odometry that was delayed.
 SEVERAL = 3
-
-
-def agree(recording: Recording, track: Track, before: int, after: int, T_map_base: SE2) -> bool:
-    """Whether the odometry agrees with the motion between two scans by their poses (n,)."""
-    if recording.T_odom_base is None:
-        return False
-    T_odom = recording.T_odom_base
-    odometry = track.calibration.corrected((T_odom[before].inverse() @ T_odom[after]).xyt)
-    return confirms(odometry, (T_map_base[before].inverse() @ T_map_base[after]).xyt)
-
-
-def too_fast(
-    recording: Recording, track: Track, T_map_base: SE2, before: NDArray[np.int64], after: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Whether the poses (n,) move faster between scans (k,) and later ones (k,) than the robot ever drives or
-    turns, (k,)."""
-    waits = seconds(np.diff(recording.stamps_ns))
-    steps = _moved(T_map_base, np.arange(len(T_map_base) - 1), 1)
-    seen = (waits > 0.0) & track.usable[1:] & track.usable[:-1]
-    if not seen.any():
-        return np.zeros(len(before), dtype=bool)
-    # stamps jitter, so no step counts as shorter than usual
-    least_s = np.median(waits[seen])
-    reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
-    wait = seconds(recording.stamps_ns[after] - recording.stamps_ns[before])
-    moved = _moved(T_map_base, before, after - before)
-    allowed = reach * np.maximum(wait, least_s * (after - before))[:, None] + [AGREE_M, AGREE]
-    return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
-
-
-def jumps(
-    recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64], over: int = 1
-) -> NDArray[np.int64]:
-    """Scans and those `over` scans later (n, 2) that lie farther apart than the robot can drive and than its
-    odometry says, without one of the `borders`, the first scans of later logs, between them."""
-    scans = np.arange(over, len(recording))
-    pairs = np.column_stack([scans - over, scans])
-    log = np.searchsorted(borders, pairs, "right")
-    pairs = pairs[log[:, 0] == log[:, 1]]
-    far = pairs[too_fast(recording, track, T_map_base, *pairs.T)].tolist()
-    apart = [(a, b) for a, b in far if not agree(recording, track, a, b, T_map_base)]
-    return np.array(apart, dtype=np.int64).reshape(-1, 2)
-
-
-def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] | int) -> Array:
-    """Distance [m] and turn [rad] between poses and later ones, (k, 2)."""
-    return way_and_turn((T_map_base[before].inverse() @ T_map_base[before + later]).xyt)
 
 
 class OdometryTrust:
@@ -179,7 +128,7 @@ def _sigma(motion: Array, floor: float, share: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _distrusted(
+def distrusted_steps(
     steps: Array, poses: Array, seen: Array, independent: NDArray, new: NDArray, noise: tuple[float, float]
 ) -> NDArray:
     """Whether the odometry is distrusted after each of its steps (n, 3), which end at `poses` (n, 3); at
@@ -193,64 +142,3 @@ def _distrusted(
         held, contradictions = _judged(last, held, contradictions, step, noise)
         distrusted[k] = contradictions >= SEVERAL
     return distrusted
-
-
-def distrusted(
-    recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """At which scans (n,) the odometry is distrusted, before or after, or missing.
-
-    `borders` are the first scans of later logs.
-    """
-    n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
-    observed = ~blind(track.information)
-    if T_odom is None:
-        return np.ones(n, dtype=bool)
-    doubted = np.zeros(n, dtype=bool)
-    for order in (np.arange(n), np.arange(n)[::-1]):
-        steps, scans = track.calibration.corrected(T_odom[order].steps()), order[1:]
-        new = np.isin(scans, borders if order[0] == 0 else borders - 1)
-        seen = track.information[scans]
-        doubted[scans] |= _distrusted(
-            steps, poses[scans], seen, observed[scans], new, (noise.floor, noise.share)
-        )
-    return doubted
-
-
-def _implausible(recording: Recording, track: Track, unobserved: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """At which `unobserved` scans (n,) the odometry says what no scan ever confirmed, (n,).
-
-    It is faster than the robot ever drove by the scans; or it reverses at once, its speed changing by more
-    than that, and then the whole unobserved stretch is implausible.
-    """
-    implausible, steps = np.zeros(len(unobserved), dtype=bool), track.T_track_base.steps()
-    seen = ~unobserved[1:] & track.usable[1:] & track.usable[:-1]
-    waits = seconds(np.diff(recording.stamps_ns))
-    usual = np.median(np.abs(waits)) if seen.any() else 0.0
-    if usual == 0.0:  # no step was seen, or most scans have the stamp of the one before: no speed is known
-        return implausible
-    waits = np.maximum(waits, usual)
-    # over several steps: odometry that was delayed for a moment is fast in the next step
-    moved = scipy.ndimage.uniform_filter1d([way_and_turn(steps)[:, 0], steps[:, 0], waits], RECENT, axis=1)
-    speed, ahead = moved[:2] / moved[2]
-    top = FASTER * np.quantile(speed[seen], NEARLY_ALWAYS)
-    implausible[1:] = unobserved[1:] & (speed > top)
-    reversals = RECENT // 2 + 1 + np.flatnonzero(np.abs(ahead[RECENT:] - ahead[:-RECENT]) > top)
-    stretches, _ = scipy.ndimage.label(unobserved)
-    return np.asarray(implausible | np.isin(stretches, stretches[reversals[unobserved[reversals]]]))
-
-
-def unobserved_way(
-    recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
-) -> Array:
-    """Unobserved metres of each step (n,), by track or odometry, whichever is longer; 0 elsewhere.
-
-    Where scans are blind, the odometry observes the motion unless it is distrusted or implausible.
-    """
-    way = np.append(0.0, way_and_turn(track.T_track_base.steps())[:, 0])
-    unobserved = blind(track.information)
-    unknown = distrusted(recording, track, noise, borders) | _implausible(recording, track, unobserved)
-    if recording.T_odom_base is not None:
-        steps = track.calibration.corrected(recording.T_odom_base.steps())
-        way[1:] = np.maximum(way[1:], way_and_turn(steps)[:, 0])
-    return way * (unobserved & unknown)

@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.point_to_line import add_equation
+from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.correspondences import MIN_NORMAL_DOT, Limits, find_partner, sees
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
+from turtlebag.pipeline.slam.scans.correspondences import Limits, equation, find_line, sees, tolerance
 
-# Scans with more points than this are thinned to every second, third, ... point.
-MOST_POINTS = 400
 # Number of key scans that a scan is aligned with.
 NEIGHBOURS = 8
-# A smaller overlap with other scans is not a match.
-LEAST_OVERLAP = 0.3
+# A smaller overlap with other scans is not a match; if this share of what could be seen again fits, the match
+# is certain (at wrong places of 26 drives with gaps at most 0.88).
+LEAST_OVERLAP, SURELY_THERE = 0.3, 0.92
 # Information along a direction below this many times what errors of the normals fake on average does not
 # count (see `observable`).
 FAKED = 1.5
@@ -49,6 +48,16 @@ class Prior(NamedTuple):
     information: Array
     cauchy: float = 0.0
 
+    @staticmethod
+    def of_odometry(pose: Array, information: Array) -> Prior:
+        """A prior that gives way where the scan contradicts it."""
+        return Prior(pose, information, CAUCHY)
+
+    def cost(self, pose: Array) -> float:
+        """The cost of another pose (3,) under the Cauchy kernel."""
+        e = between(self.pose, pose)
+        return float(np.log1p(e @ self.information @ e / self.cauchy**2))
+
 
 NO_PRIOR = Prior(np.zeros(3), np.zeros((3, 3)))
 
@@ -74,6 +83,27 @@ class Alignment:
     def agreement(self) -> float:
         """The fraction with a partner among the points that could have one."""
         return self.overlap / self.known if self.known > 0.0 else 0.0
+
+    @property
+    def possible(self) -> bool:
+        """Whether it is a match at all."""
+        return bool(possible(self.overlap))
+
+    @property
+    def certain(self) -> bool:
+        """Whether there is no doubt about it, even where it was not expected."""
+        return self.agreement >= SURELY_THERE
+
+
+def possible(overlap: Array | float) -> NDArray[np.bool_]:
+    """Whether alignments (...,) with such an overlap are matches at all."""
+    return np.asarray(overlap) >= LEAST_OVERLAP
+
+
+def match_information(information: Array) -> Array:
+    """Information (..., 3, 3) of scans by their points as that of matches: the points err together, and a
+    match is worth far less than their sum."""
+    return information / STEP_COVARIANCE_SCALE
 
 
 def align(
@@ -115,114 +145,153 @@ def align_kernel(
 ) -> tuple[Array, Array, int, int, int, float, float]:
     """`align` on plain arrays: pose (3,), information (3, 3), numbers of points matched, usable, and in space
     that no key scan saw; rms [m], summed cost of all others."""
-    points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
-    pose = start_pose.copy()
-    lo, hi = clouds.starts[scan], clouds.starts[scan + 1]
-    stride = 1 + (hi - lo - 1) // limits.most_points
-    n_keys = len(keys)
-    hessian, gradient = np.zeros((3, 3)), np.zeros(3)
-    matched, usable, rms, cost = 0, 0, 0.0, 0.0
-    relative = np.zeros((n_keys, 4))
-    partners = np.empty(((hi - lo - 1) // stride + 1, n_keys), dtype=np.int32)
+    pose, T_keys_scan = start_pose.copy(), np.empty((len(keys), 4))
+    first, end = clouds.starts[scan], clouds.starts[scan + 1]
+    rows = first, end, 1 + (end - first - 1) // limits.most_points
+    partners = np.empty(((end - first - 1) // rows[2] + 1, len(keys)), dtype=np.int32)
+    hessian, gradient = np.empty((3, 3)), np.empty(3)
     moved = 2.0 * SAME_PARTNERS
-    faked = 0.0
     for iteration in range(limits.iterations + 1):
-        for k in range(n_keys):
-            ck, sk = math.cos(key_poses[k, 2]), math.sin(key_poses[k, 2])
-            dx, dy = pose[0] - key_poses[k, 0], pose[1] - key_poses[k, 1]
-            relative[k, 0], relative[k, 1] = ck * dx + sk * dy, -sk * dx + ck * dy
-            dyaw = pose[2] - key_poses[k, 2]
-            relative[k, 2], relative[k, 3] = math.cos(dyaw), math.sin(dyaw)
-        hessian[:] = 0.0
-        faked = 0.0
-        gradient[:] = 0.0
-        matched, usable = 0, 0
-        squares, weights, cost = 0.0, 0.0, 0.0
-        search = moved > SAME_PARTNERS
-        if search:
+        see_from_keys(pose, key_poses, T_keys_scan)
+        if moved > SAME_PARTNERS:
+            find_lines(clouds, rows, keys, T_keys_scan, limits, partners)
             moved = 0.0
-        for i in range(lo, hi, stride):
-            if not line_ok[i]:
-                continue
-            usable += 1
-            of_point = partners[(i - lo) // stride]
-            px, py = points[i, 0], points[i, 1]
-            kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[i])
-            inv_s2 = 1.0 / kernel2
-            reach = max(limits.gate, math.sqrt(kernel2))
-            hit = False
-            best_e = math.inf
-            for k in range(n_keys):
-                c, s = relative[k, 2], relative[k, 3]
-                x = relative[k, 0] + c * px - s * py
-                y = relative[k, 1] + s * px + c * py
-                if search:
-                    row = find_partner(x, y, keys[k], clouds, reach)
-                    of_point[k] = row if row >= 0 and line_ok[row] else -1
-                row = of_point[k]
-                if row < 0:
-                    continue
-                nx, ny = normals[row, 0], normals[row, 1]
-                # the partner's normal turned into this scan's base frame
-                bx, by = c * nx + s * ny, -s * nx + c * ny
-                if bx * normals[i, 0] + by * normals[i, 1] < MIN_NORMAL_DOT:
-                    continue
-                e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
-                if abs(e) > reach:
-                    continue
-                hit = True
-                best_e = min(best_e, abs(e))
-                w = 1.0 / (1.0 + e * e * inv_s2)
-                w = w * w * inv_s2 / n_keys
-                faked += w * (clouds.normal_var[row] + SURFACE_VAR)
-                add_equation(hessian, gradient, w, bx, by, by * px - bx * py, e)
-                squares += w * e * e
-                weights += w
-            if hit:
-                matched += 1
-                q = best_e * best_e * inv_s2
-                cost += q / (1.0 + q)
-            else:
-                cost += 1.0
-        hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
-        rms = math.sqrt(squares / weights) if weights > 0.0 else 0.0
+        sums = add_equations(clouds, rows, partners, T_keys_scan, limits, hessian, gradient)
         if iteration == limits.iterations:
             break
-        step = gauss_newton_step(hessian, faked, gradient, pose, prior)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        pose[0] += c * step[0] - s * step[1]
-        pose[1] += s * step[0] + c * step[1]
-        pose[2] += step[2]
-        size = abs(step[0]) + abs(step[1]) + abs(step[2])
+        step = gauss_newton_step(hessian, sums.faked, gradient, pose, prior)
+        size = move_by(pose, step)
         moved += size
         if size < SETTLED:
             break
+    unknown = count_unseen(clouds, rows, partners, keys, T_keys_scan, limits.gate)
+    pose[2] = wrap_angle(pose[2])
+    seen = observable(hessian, sums.faked)
+    return pose, seen, sums.matched, sums.usable, unknown, sums.rms, sums.cost - unknown
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def see_from_keys(pose: Array, key_poses: Array, T_keys_scan: Array) -> None:
+    """The scan's pose (3,) seen from the key scans: x, y, cosine and sine of the yaw, (k, 4)."""
+    for k in range(len(key_poses)):
+        c, s = math.cos(key_poses[k, 2]), math.sin(key_poses[k, 2])
+        dx, dy = pose[0] - key_poses[k, 0], pose[1] - key_poses[k, 1]
+        dyaw = pose[2] - key_poses[k, 2]
+        T_keys_scan[k, 0], T_keys_scan[k, 1] = c * dx + s * dy, -s * dx + c * dy
+        T_keys_scan[k, 2], T_keys_scan[k, 3] = math.cos(dyaw), math.sin(dyaw)
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def find_lines(
+    clouds: Clouds,
+    rows: tuple[int, int, int],
+    keys: NDArray,
+    T_keys_scan: Array,
+    limits: Limits,
+    partners: NDArray,
+) -> None:
+    """Row of the line of each key scan that each point of the scan may lie on, or -1, (points, k)."""
+    for i in range(rows[0], rows[1], rows[2]):
+        if clouds.line_ok[i]:
+            _, reach = tolerance(clouds, i, limits)
+            for k in range(len(keys)):
+                T = (T_keys_scan[k, 0], T_keys_scan[k, 1], T_keys_scan[k, 2], T_keys_scan[k, 3])
+                partners[(i - rows[0]) // rows[2], k] = find_line(clouds, i, keys[k], T, reach)
+
+
+class Sums(NamedTuple):
+    """Of the points of a scan: how many found a line, how many could have; the rms of their distances [m],
+    their summed cost, and the information that errors of the normals fake (see `observable`)."""
+
+    matched: int
+    usable: int
+    rms: float
+    cost: float
+    faked: float
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def add_equations(
+    clouds: Clouds,
+    rows: tuple[int, int, int],
+    partners: NDArray,
+    T_keys_scan: Array,
+    limits: Limits,
+    hessian: Array,
+    gradient: Array,
+) -> Sums:
+    """The normal equations of all points and their partners, each key scan weighing as much as the others."""
+    hessian[:], gradient[:] = 0.0, 0.0
+    n_keys, matched, usable = len(T_keys_scan), 0, 0
+    squares, weights, cost, faked = 0.0, 0.0, 0.0, 0.0
+    for i in range(rows[0], rows[1], rows[2]):
+        if not clouds.line_ok[i]:
+            continue
+        usable += 1
+        inv_s2, reach = tolerance(clouds, i, limits)
+        best_e = math.inf
+        for k in range(n_keys):
+            row = partners[(i - rows[0]) // rows[2], k]
+            T = (T_keys_scan[k, 0], T_keys_scan[k, 1], T_keys_scan[k, 2], T_keys_scan[k, 3])
+            e, w, j = equation(clouds, i, row, T, inv_s2, reach)
+            if w == 0.0:
+                continue
+            best_e = min(best_e, abs(e))
+            w = w / n_keys
+            faked += w * direction_var(clouds, row)
+            add_equation(hessian, gradient, w, j, e)
+            squares += w * e * e
+            weights += w
+        if best_e < math.inf:
+            matched += 1
+            q = best_e * best_e * inv_s2
+            cost += q / (1.0 + q)
+        else:
+            cost += 1.0
+    hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+    return Sums(matched, usable, math.sqrt(squares / weights) if weights > 0.0 else 0.0, cost, faked)
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def count_unseen(
+    clouds: Clouds,
+    rows: tuple[int, int, int],
+    partners: NDArray,
+    keys: NDArray,
+    T_keys_scan: Array,
+    margin: float,
+) -> int:
+    """How many points without any partner lie in space that no key scan had in view."""
     unknown = 0
-    for i in range(lo, hi, stride):
-        if line_ok[i] and partners[(i - lo) // stride].max() < 0:
-            unseen = True
-            for k in range(n_keys):
-                c, s = relative[k, 2], relative[k, 3]
-                x = relative[k, 0] + c * points[i, 0] - s * points[i, 1]
-                y = relative[k, 1] + s * points[i, 0] + c * points[i, 1]
-                unseen = unseen and not sees(x, y, keys[k], clouds, limits.gate)
-            unknown += unseen
-    pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return pose, observable(hessian, faked), matched, usable, unknown, rms, cost - unknown
+    for i in range(rows[0], rows[1], rows[2]):
+        if not clouds.line_ok[i]:
+            continue
+        unseen, px, py = True, clouds.points[i, 0], clouds.points[i, 1]
+        for k in range(len(keys)):
+            unseen = unseen and partners[(i - rows[0]) // rows[2], k] < 0
+        for k in range(len(keys)):
+            c, s = T_keys_scan[k, 2], T_keys_scan[k, 3]
+            x = T_keys_scan[k, 0] + c * px - s * py
+            y = T_keys_scan[k, 1] + s * px + c * py
+            unseen = unseen and not sees(x, y, keys[k], clouds, margin)
+        unknown += unseen
+    return unknown
 
 
-@njit(cache=True, forceinline=True)
-def add_equation(h: Array, g: Array, w: float, j0: float, j1: float, j2: float, e: float) -> None:
-    """Add an equation j x = -e of some weight to the upper half of the normal equations h x = -g."""
-    h[0, 0] += w * j0 * j0
-    h[0, 1] += w * j0 * j1
-    h[0, 2] += w * j0 * j2
-    h[1, 1] += w * j1 * j1
-    h[1, 2] += w * j1 * j2
-    h[2, 2] += w * j2 * j2
-    g[0] += w * j0 * e
-    g[1] += w * j1 * e
-    g[2] += w * j2 * e
+@njit(cache=True, forceinline=True, _nrt=False)
+def move_by(pose: Array, step: Array) -> float:
+    """Move a pose (3,) by a step (3,) in its own frame; the size of the step."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    pose[0] += c * step[0] - s * step[1]
+    pose[1] += s * step[0] + c * step[1]
+    pose[2] += step[2]
+    return abs(step[0]) + abs(step[1]) + abs(step[2])
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def direction_var(clouds: Clouds, row: int) -> float:
+    """Variance of the normal of a line and of the surface's own direction [rad^2] (see `observable`)."""
+    return clouds.normal_var[row] + SURFACE_VAR
 
 
 @njit(cache=True)
@@ -277,7 +346,7 @@ def safe_solve(a: Array, b: Array) -> Array:
 
 @njit(cache=True)
 def observable(hessian: Array, faked: float) -> Array:
-    """The information that is not an artefact of noisy normals.
+    """The information that is not an artefact of noisy normals: (3) in docs/how-it-maps.md.
 
     In a featureless corridor all true normals point across it; the fitted ones scatter, which alone yields
     information along the corridor: `faked`, the sum over the points of weight times variance of the normal's

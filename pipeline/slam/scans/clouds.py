@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.deskew import deskewed
-from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.threads import in_parts
 from turtlebag.datasets.types import NOTHING_M, Recording
@@ -24,15 +24,6 @@ from turtlebag.pipeline.slam.scans.range_noise import LEAST_M, RangeNoise, range
 # A scan with fewer points, or fewer points with a surface line, cannot be matched; nor are lines used if most
 # points have none: posts, table legs, thin trunks.
 MIN_LINES, LINE_SHARE = 8, 0.3
-# Number of instants, evenly spaced, at which the motion within a sweep is kept: a robot may stop turning
-# within one.
-KNOTS = 8
-# No robot drives faster than this many times what it hardly ever exceeds; any robot may drive and turn this
-# fast [m/s, rad/s], however rarely it does.
-FASTER, NEARLY_ALWAYS = 1.3, 0.98
-ANY_ROBOT = (1.0, 4.0)
-# Between scans further apart than this [s] nothing is known.
-GAP_S = 2.0
 # Returns up to this far apart [m], or this many beam spacings of a perpendicular hit, may lie on one surface:
 # at a grazing angle, those of a wall are far apart. With the reach in place of both, acapulco, the long
 # corridor and ACES get worse by up to a tenth.
@@ -74,6 +65,10 @@ class Clouds(NamedTuple):
     def lines(self, scan: int) -> int:
         """Points of one scan that have a surface line."""
         return int(np.count_nonzero(self.line_ok[self.starts[scan] : self.starts[scan + 1]]))
+
+    def has_lines(self, scan: int) -> bool:
+        """Whether a scan can be matched by lines at all."""
+        return self.lines(scan) >= MIN_LINES
 
     def placed_by(self, scan: int) -> Literal["lines", "points", "nothing"]:
         """Whether a scan is matched by lines or by points."""
@@ -138,63 +133,6 @@ def make_clouds(
     return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
 
 
-def fastest(moved: Array, seconds: Array) -> Array:
-    """Speeds (2,) [m/s, rad/s] that a robot never exceeds, from its motions (n, 2) over intervals (n,)
-    [s]."""
-    usual = np.quantile(moved / seconds[:, None], NEARLY_ALWAYS, axis=0)
-    return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
-
-
-def way_and_turn(steps: Array) -> Array:
-    """Distance [m] and turn [rad] of motions (n, 3), both unsigned, (n, 2)."""
-    return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])])
-
-
-def sweep_motion(recording: Recording) -> SE2 | None:
-    """Base poses (n, KNOTS) during each sweep relative to its start, by odometry; None without a stream or
-    where a sweep takes no time. The last one is that at the end of the sweep. Where the odometry jumps, the
-    motion of the previous sweep is used."""
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
-    if recording.odometry is None or len(recording.odometry) < 2 or sweep_s == 0.0:
-        return None
-    after_ns = nanoseconds(np.arange(KNOTS + 1) / KNOTS * sweep_s)
-    during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
-    T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
-    # a jump may end within a sweep and move its end only a little, so each part is checked
-    moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
-    part_s = np.full(len(moved), abs(sweep_s) / KNOTS)
-    too_far = moved > fastest(moved, part_s) * part_s[:, None]
-    jumps = too_far.reshape(len(T_odom_knots), -1).any(axis=1)
-    motion = T_odom_knots[:, :1].inverse() @ T_odom_knots[:, 1:]
-    return motion[np.maximum.accumulate(np.where(jumps, 0, np.arange(len(motion))))]
-
-
-def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
-    """As `sweep_motion`, from the poses of the scans themselves (n,), for logs without odometry.
-
-    A scan that is not corrected yet has the pose of the middle of its sweep, so the speed during the sweep is
-    the mean of those before and after.
-    """
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
-    waits = seconds(np.diff(recording.stamps_ns))
-    steps = T_track_base.steps()
-    known = (waits > 0.0) & (waits < GAP_S)
-    speed = np.where(known[:, None], steps / np.where(known, waits, 1.0)[:, None], 0.0)
-    around = np.concatenate([speed[:1], speed, speed[-1:]])
-    whole = 0.5 * (around[:-1] + around[1:]) * sweep_s
-    return SE2(whole[:, None] * (np.arange(1, KNOTS + 1) / KNOTS)[:, None])
-
-
-def known_motion(recording: Recording, motion: SE2 | None = None) -> SE2:
-    """`motion` (n, KNOTS), or that by odometry if it is None; zero where it is unknown, or where the lidar
-    takes all beams at once."""
-    if recording.lidar.time_increment != 0.0:
-        motion = sweep_motion(recording) if motion is None else motion
-        if motion is not None:
-            return motion
-    return SE2(np.zeros((len(recording), KNOTS, 3)))
-
-
 @njit(cache=True, nogil=True)
 def _place(
     valid: NDArray, ranges: Array, beams: Array, T_base_lidar: Array, motion: Array, points: Array
@@ -211,6 +149,18 @@ def _place(
             row += 1
 
 
+class Line(NamedTuple):
+    """A line through a point and some of its neighbours: cosine and sine of twice its direction, its centroid
+    from the point [m], the variance along its normal [m^2] and that of its direction [rad^2]."""
+
+    cos2: float
+    sin2: float
+    mx: float
+    my: float
+    var: float
+    turn_var: float
+
+
 @njit(cache=True, nogil=True)
 def fit_lines(
     points: Array, starts: NDArray, origin: Array, increment: float, lines: tuple[NDArray, ...]
@@ -223,86 +173,114 @@ def fit_lines(
     the ranges.
     """
     normals, centers, ok, point_var, normal_var = lines
-    range_var = point_var.copy()
     # Allocated once, because numba counts references to a list at every access, with atomic operations.
-    sums, ends, alive = np.zeros(5), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
+    ends, alive = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
     for scan in range(len(starts) - 1):
-        lo, hi = starts[scan], starts[scan + 1]
-        for i in range(lo, hi):
+        for i in range(starts[scan], starts[scan + 1]):
             px, py = points[i, 0], points[i, 1]
             ray_x, ray_y = px - origin[0], py - origin[1]
             distance = math.hypot(ray_x, ray_y)
-            ray_x, ray_y = ray_x / max(distance, NOTHING_M), ray_y / max(distance, NOTHING_M)
-            spacing = distance * increment
-            reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
-            reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
-            gap2 = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M) ** 2
-            # the noise also separates neighbours
-            gap2 += 2.0 * Z_SURFACE**2 * range_var[i]
-            sums[:] = 0.0
-            count = 1
-            ends[:] = i
-            alive[:] = True
-            ray_xx, ray_xy, ray_yy = ray_x * ray_x, ray_x * ray_y, ray_y * ray_y
-            cos2, sin2, mx, my, var, turn_var = 1.0, 0.0, 0.0, 0.0, range_var[i], math.inf
-            while alive[0] or alive[1]:
-                for side in range(2):
-                    if not alive[side]:
-                        continue
-                    last = ends[side]
-                    j = last - 1 if side == 0 else last + 1
-                    if j < lo or j >= hi:
-                        alive[side] = False
-                        continue
-                    x, y = points[j, 0], points[j, 1]
-                    dx, dy = x - px, y - py
-                    off2 = dx * dx + dy * dy
-                    too_far = off2 > reach2 and (off2 > farthest2 or turn_var < SURE_RAD * SURE_RAD)
-                    lx, ly = x - points[last, 0], y - points[last, 1]
-                    if too_far or lx * lx + ly * ly > gap2:
-                        alive[side] = False
-                        continue
-                    n = count + 1
-                    sx, sy = sums[0] + dx, sums[1] + dy
-                    sxx, sxy, syy = sums[2] + dx * dx, sums[3] + dx * dy, sums[4] + dy * dy
-                    ax, ay = sx / n, sy / n
-                    cxx, cxy, cyy = sxx / n - ax * ax, sxy / n - ax * ay, syy / n - ay * ay
-                    # the noise lies along the rays: left in, it would turn the line towards them
-                    own = range_var[i] * (n - 1) / n
-                    half = 0.5 * (cxx - cyy - own * (ray_xx - ray_yy))
-                    mixed = cxy - own * ray_xy
-                    root = math.sqrt(half * half + mixed * mixed)
-                    large = 0.5 * (cxx + cyy - own) + root
-                    # cosine and sine of twice the line's direction, and its normal's square along the ray
-                    c2, s2 = (half / root, mixed / root) if root > 0.0 else (1.0, 0.0)
-                    small = max(0.5 * (cxx + cyy) - 0.5 * (cxx - cyy) * c2 - cxy * s2, 0.0)
-                    across2 = 0.5 * ((1.0 - c2) * ray_xx - 2.0 * s2 * ray_xy + (1.0 + c2) * ray_yy)
-                    # a few returns close together do not determine the angle between line and ray
-                    steep = min(1.0, across2 + range_var[i] / max(n * large, LEAST_M * LEAST_M))
-                    noise = range_var[i] * steep + LEAST_M * LEAST_M
-                    if n >= 3 and n * small > noise * chi_squared_limit(n - 2):
-                        alive[side] = False
-                        continue
-                    sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
-                    count = n
-                    ends[side] = j
-                    cos2, sin2, mx, my, var = c2, s2, ax, ay, noise
-                    turn_var = noise / max(n * large, LEAST_M * LEAST_M)
-            if count < 3 or turn_var > UNSURE_RAD * UNSURE_RAD:
+            ray = ray_x / max(distance, NOTHING_M), ray_y / max(distance, NOTHING_M)
+            beams, range_var = (starts[scan], starts[scan + 1]), np.float64(point_var[i])
+            windows = search_windows(distance * increment, range_var)
+            count, line = grow_line(points, i, beams, ray, windows, range_var, ends, alive)
+            if count < 3 or line.turn_var > UNSURE_RAD * UNSURE_RAD:
                 continue
-            # of the half angle, by the larger of its two parts
-            if cos2 > 0.0:
-                ny = math.sqrt(0.5 * (1.0 + cos2))
-                nx = -0.5 * sin2 / ny
-            else:
-                nx = -math.sqrt(0.5 * (1.0 - cos2))
-                ny = -0.5 * sin2 / nx
-            if nx * ray_x + ny * ray_y > 0.0:
-                nx, ny = -nx, -ny
-            normals[i, 0], normals[i, 1] = nx, ny
-            centers[i, 0], centers[i, 1] = px + mx, py + my
-            point_var[i], normal_var[i] = var, turn_var
+            normals[i, 0], normals[i, 1] = facing_normal(line.cos2, line.sin2, ray)
+            centers[i, 0], centers[i, 1] = px + line.mx, py + line.my
+            point_var[i], normal_var[i] = line.var, line.turn_var
             ok[i] = True
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def search_windows(spacing: float, range_var: float) -> tuple[float, float, float]:
+    """Squares of how far a line extends, how far it may, and how far successive returns on it are apart
+    [m^2], where beams are so far apart [m]."""
+    reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
+    gap = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M)
+    # the noise also separates neighbours
+    return reach**2, max(MAX_REACH_M, reach) ** 2, gap**2 + 2.0 * Z_SURFACE**2 * range_var
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def grow_line(
+    points: Array,
+    i: int,
+    beams: tuple[int, int],
+    ray: tuple[float, float],
+    windows: tuple[float, float, float],
+    range_var: float,
+    ends: NDArray,
+    alive: NDArray,
+) -> tuple[int, Line]:
+    """The line through point `i` and its neighbours within `beams`, and the number of its points. `ends` and
+    `alive` (2,), of its two sides, are overwritten."""
+    (reach2, farthest2, gap2), (px, py) = windows, (points[i, 0], points[i, 1])
+    sums, count = (0.0, 0.0, 0.0, 0.0, 0.0), 1
+    line = Line(1.0, 0.0, 0.0, 0.0, range_var, math.inf)
+    ends[:], alive[:] = i, True
+    while alive[0] or alive[1]:
+        for side in range(2):
+            if not alive[side]:
+                continue
+            last = ends[side]
+            j = last - 1 if side == 0 else last + 1
+            alive[side] = False
+            if j < beams[0] or j >= beams[1]:
+                continue
+            x, y = points[j, 0], points[j, 1]
+            dx, dy, lx, ly = x - px, y - py, x - points[last, 0], y - points[last, 1]
+            off2 = dx * dx + dy * dy
+            too_far = off2 > reach2 and (off2 > farthest2 or line.turn_var < SURE_RAD * SURE_RAD)
+            if too_far or lx * lx + ly * ly > gap2:
+                continue
+            more = (sums[0] + dx, sums[1] + dy, sums[2] + dx * dx, sums[3] + dx * dy, sums[4] + dy * dy)
+            longer, misfit = line_through(more, count + 1, ray, range_var)
+            if count >= 2 and misfit > longer.var * chi_squared_limit(count - 1):
+                continue
+            alive[side], ends[side] = True, j
+            sums, line = more, longer
+            count += 1
+    return count, line
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def line_through(
+    sums: tuple[float, float, float, float, float], n: int, ray: tuple[float, float], range_var: float
+) -> tuple[Line, float]:
+    """The line of n points, by the sums of their x, y, xx, xy, yy [m, m^2], and the sum of its squared
+    residuals [m^2]; the noise of their ranges [m^2] lies along `ray`."""
+    (sx, sy, sxx, sxy, syy), (ray_x, ray_y) = sums, ray
+    ray_xx, ray_xy, ray_yy = ray_x * ray_x, ray_x * ray_y, ray_y * ray_y
+    ax, ay = sx / n, sy / n
+    cxx, cxy, cyy = sxx / n - ax * ax, sxy / n - ax * ay, syy / n - ay * ay
+    # the noise lies along the rays: left in, it would turn the line towards them
+    own = range_var * (n - 1) / n
+    half = 0.5 * (cxx - cyy - own * (ray_xx - ray_yy))
+    mixed = cxy - own * ray_xy
+    root = math.sqrt(half * half + mixed * mixed)
+    large = 0.5 * (cxx + cyy - own) + root
+    # cosine and sine of twice the line's direction, and its normal's square along the ray
+    c2, s2 = (half / root, mixed / root) if root > 0.0 else (1.0, 0.0)
+    small = max(0.5 * (cxx + cyy) - 0.5 * (cxx - cyy) * c2 - cxy * s2, 0.0)
+    across2 = 0.5 * ((1.0 - c2) * ray_xx - 2.0 * s2 * ray_xy + (1.0 + c2) * ray_yy)
+    # a few returns close together do not determine the angle between line and ray
+    spread = max(n * large, LEAST_M * LEAST_M)
+    noise = range_var * min(1.0, across2 + range_var / spread) + LEAST_M * LEAST_M
+    return Line(c2, s2, ax, ay, noise, noise / spread), n * small
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def facing_normal(cos2: float, sin2: float, ray: tuple[float, float]) -> tuple[float, float]:
+    """Unit normal of a line, against the ray, from cosine and sine of twice the line's direction."""
+    # of the half angle, by the larger of its two parts
+    if cos2 > 0.0:
+        ny = math.sqrt(0.5 * (1.0 + cos2))
+        nx = -0.5 * sin2 / ny
+    else:
+        nx = -math.sqrt(0.5 * (1.0 - cos2))
+        ny = -0.5 * sin2 / nx
+    return (-nx, -ny) if nx * ray[0] + ny * ray[1] > 0.0 else (nx, ny)
 
 
 @njit(cache=True, nogil=True)

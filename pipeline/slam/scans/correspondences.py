@@ -11,10 +11,14 @@ import math
 from typing import NamedTuple
 
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.point_to_line import Jacobian, linearise
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 
+# The number of points of one scan among thousands.
+MOST_POINTS = 400
+# Gate and kernel are at least this many standard deviations of a point's noise wide.
+SIGMAS = 3.0
 # A point is searched within this many bearings to either side.
 MAX_HALF_WINDOW = 10
 # Surfaces whose normals agree by less than this (cosine) are different surfaces.
@@ -24,15 +28,34 @@ MIN_NORMAL_DOT = 0.6
 class Limits(NamedTuple):
     """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of the robust kernel,
     where there is one. An alignment ends after `iterations`; with none, it returns the fit at the start.
-    Scans with more than `most_points` may be thinned to every second, third, ... point."""
+    Scans with more than `most_points` are thinned to every second, third, ... point."""
 
     gate: float
     sigma: float
     iterations: int = 15
     most_points: int = 10**6
 
+    @staticmethod
+    def rough() -> Limits:
+        """For rough poses."""
+        return ROUGH
 
-# For rough poses, and for good ones.
+    @staticmethod
+    def fine() -> Limits:
+        """For good poses."""
+        return FINE
+
+    @staticmethod
+    def between(progress: float) -> Limits:
+        """From rough (0) to fine (1), by equal factors."""
+        gate = ROUGH.gate * (FINE.gate / ROUGH.gate) ** progress
+        return Limits(gate, ROUGH.sigma * (FINE.sigma / ROUGH.sigma) ** progress)
+
+    def of_one_scan(self, iterations: int) -> Limits:
+        """For one scan among thousands: so many iterations, with a part of its points."""
+        return self._replace(iterations=iterations, most_points=MOST_POINTS)
+
+
 ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
 
 
@@ -104,27 +127,51 @@ def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
 
 
 @njit(cache=True, forceinline=True, _nrt=False)
+def tolerance(clouds: Clouds, r: int, limits: Limits) -> tuple[float, float]:
+    """How far point `r` may be off: 1 / sigma^2 of its robust kernel [1/m^2], and its gate [m]. Neither sigma
+    nor gate is narrower than SIGMAS of its noise."""
+    kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[r])
+    return 1.0 / kernel2, max(limits.gate, math.sqrt(kernel2))
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def find_line(
+    clouds: Clouds, r: int, key: int, T_key_scan: tuple[float, float, float, float], reach: float
+) -> int:
+    """Row of scan `key` whose line point `r` may lie on, or -1; T_key_scan is as in `linearise`."""
+    tx, ty, c, s = T_key_scan
+    px, py = clouds.points[r, 0], clouds.points[r, 1]
+    row = find_partner(tx + c * px - s * py, ty + s * px + c * py, key, clouds, reach)
+    return row if row >= 0 and clouds.line_ok[row] else -1
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def equation(
+    clouds: Clouds,
+    r: int,
+    row: int,
+    T_key_scan: tuple[float, float, float, float],
+    inv_s2: float,
+    reach: float,
+) -> tuple[float, float, Jacobian]:
+    """`linearise` of point `r` and the line of a row: e, w/s^2, j. No weight where there is no line
+    (-1), where the two surfaces face different ways, or where they are farther apart than `reach` [m]."""
+    if row < 0:
+        return 0.0, 0.0, (0.0, 0.0, 0.0)
+    points, normals, centers = clouds.points, clouds.normals, clouds.centers
+    line = (normals[row, 0], normals[row, 1], centers[row, 0], centers[row, 1])
+    e, w, j = linearise(T_key_scan, (points[r, 0], points[r, 1]), line, inv_s2)
+    if j[0] * normals[r, 0] + j[1] * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
+        return 0.0, 0.0, j
+    return e, w * inv_s2, j
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
 def partner_line(
     clouds: Clouds, r: int, key: int, T_key_scan: tuple[float, float, float, float], limits: Limits
-) -> tuple[int, float, float]:
-    """The line of scan `key` that point `r` lies on: row or -1, distance to it [m], weight [1/m^2].
-
-    T_key_scan is x, y, and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than SIGMAS
-    of the point's noise.
-    """
-    tx, ty, c, s = T_key_scan
-    normals, centers = clouds.normals, clouds.centers
-    px, py = clouds.points[r, 0], clouds.points[r, 1]
-    x, y = tx + c * px - s * py, ty + s * px + c * py
-    kernel2 = max(limits.sigma * limits.sigma, SIGMAS * SIGMAS * clouds.point_var[r])
-    inv_s2, reach = 1.0 / kernel2, max(limits.gate, math.sqrt(kernel2))
-    row = find_partner(x, y, key, clouds, reach)
-    if row < 0 or not clouds.line_ok[row]:
-        return -1, 0.0, 0.0
-    nx, ny = normals[row, 0], normals[row, 1]
-    bx, by = c * nx + s * ny, -s * nx + c * ny
-    e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
-    if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
-        return -1, 0.0, 0.0
-    w = 1.0 / (1.0 + e * e * inv_s2)
-    return row, e, w * w * inv_s2
+) -> tuple[int, float, float, Jacobian]:
+    """The line of scan `key` that point `r` lies on: row, or -1, and its `equation`."""
+    inv_s2, reach = tolerance(clouds, r, limits)
+    row = find_line(clouds, r, key, T_key_scan, reach)
+    e, w, j = equation(clouds, r, row, T_key_scan, inv_s2, reach)
+    return row if w > 0.0 else -1, e, w, j

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.point_to_line import add_equation, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.threads import in_parts
-from turtlebag.pipeline.slam.scans.align import SURFACE_VAR, add_equation, observable, safe_solve
+from turtlebag.pipeline.slam.scans.align import NEIGHBOURS, direction_var, observable, possible, safe_solve
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.scans.open3d_icp import match_points
@@ -28,8 +30,13 @@ def partner_radius(clouds: Clouds) -> float:
     return max(RADIUS_M, float(np.median(ranges))) if len(ranges) else RADIUS_M
 
 
+def alike_within(radius: float) -> int:
+    """The keys before and after one that see the same as it, where partners are up to `radius` [m] apart."""
+    return round(ALIKE * radius / RADIUS_M)
+
+
 def overlapping_pairs(
-    T_map_keys: SE2, radius: float, neighbours: int, alike: int = ALIKE
+    T_map_keys: SE2, radius: float = RADIUS_M, neighbours: int = NEIGHBOURS, alike: int = ALIKE
 ) -> NDArray[np.int64]:
     """Pairs (n, 2), i < j, of nearby keys: each key with its two successors in time and its nearest ones.
     These are spread over all visits to the place: once a key is taken, those up to `alike` before and after
@@ -57,13 +64,26 @@ def overlapping_pairs(
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
 
+class PairMatches(NamedTuple):
+    """Per pair (i, j): T_i_j (n, 3), its information by the points (n, 3, 3), overlap 0..1 (n,)."""
+
+    T_i_j: Array
+    information: Array
+    overlap: Array
+
+    @property
+    def possible(self) -> NDArray[np.bool_]:
+        """Which pairs match at all."""
+        return possible(self.overlap)
+
+
 def match_pairs(
     clouds: Clouds,
     keys: NDArray[np.int64],
     T_map_keys: SE2,
     pairs: NDArray[np.int64],
     limits: Limits,
-) -> tuple[Array, Array, Array]:
+) -> PairMatches:
     """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
     found = in_parts(
         lambda part: linearise_pairs(clouds, keys, T_map_keys.xyt, pairs[part], limits),
@@ -79,7 +99,7 @@ def match_pairs(
             match = match_points(clouds.of(keys[j]), clouds.of(keys[i]), start[k], limits.gate)
             relative[k], information[k] = match.T_target_source, match.information
             overlap[k] = match.overlap
-    return relative, information, overlap
+    return PairMatches(relative, information, overlap)
 
 
 @njit(cache=True, nogil=True)
@@ -122,31 +142,25 @@ def _half(
     inverted: bool,
     equations: tuple[Array, Array],
 ) -> tuple[int, int, float]:
-    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan as in `partner_line`.
+    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan as in `linearise`.
 
     Returned are the points with a line, those with a partner, and the information that errors of the
     normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that
     `scan` is i and `key` j.
     """
-    points, normals, line_ok = clouds.points, clouds.normals, clouds.line_ok
-    (tx, ty, c, s), (h, g) = T_key_scan, equations
-    used, hit, faked = 0, 0, 0.0
+    (h, g), used, hit, faked = equations, 0, 0, 0.0
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
-        if not line_ok[r]:
+        if not clouds.line_ok[r]:
             continue
         used += 1
-        row, e, w = partner_line(clouds, r, key, T_key_scan, limits)
+        row, e, w, j = partner_line(clouds, r, key, T_key_scan, limits)
         if row < 0:
             continue
         hit += 1
-        px, py = points[r, 0], points[r, 1]
-        x, y = tx + c * px - s * py, ty + s * px + c * py
-        nx, ny = normals[row, 0], normals[row, 1]
-        bx, by = c * nx + s * ny, -s * nx + c * ny
-        faked += w * (clouds.normal_var[row] + SURFACE_VAR)
         if inverted:
-            add_equation(h, g, w, -nx, -ny, -(x * ny - y * nx), e)
-        else:
-            add_equation(h, g, w, bx, by, by * px - bx * py, e)
+            point, normal = clouds.points[r], clouds.normals[row]
+            j = of_the_line(T_key_scan, (point[0], point[1]), (normal[0], normal[1]))
+        faked += w * direction_var(clouds, row)
+        add_equation(h, g, w, j, e)
     h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
     return used, hit, faked

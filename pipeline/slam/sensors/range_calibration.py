@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.point_to_line import linearise, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
-from turtlebag.pipeline.slam.scans.align import NEIGHBOURS, STEP_COVARIANCE_SCALE
-from turtlebag.pipeline.slam.scans.clouds import UNSURE_RAD, Clouds
-from turtlebag.pipeline.slam.scans.correspondences import FINE, Limits, partner_line, relative_pose
-from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
+from turtlebag.pipeline.slam.odometry.track import Track
+from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
+from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
+from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
+from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square
 # of the range.
@@ -36,9 +38,11 @@ OFFSET_M, SHARE = 0.01, 0.01
 TURN_SHARE = 0.005
 # The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
-# Lines this many beams to either side must have the same direction: lines cut corners and bend round pillars,
-# the more so at a distance.
-BESIDE = 6
+# Errors smaller than this many standard deviations are none.
+SIGNIFICANT_SIGMAS = 3.0
+# Lines this many beams to either side must have the same direction, within this [rad]: lines cut corners and
+# bend round pillars, the more so at a distance.
+BESIDE, STRAIGHT_RAD = 6, 0.3
 # Surfaces met at a smaller sine than this say little about ranges.
 GRAZING_SINE = 0.25
 
@@ -92,6 +96,14 @@ class RangeCalibration:
         return rays * share[:, None], np.column_stack([1.0 - 2.0 * self.square_per_m * ranges, share])
 
 
+def range_errors(scans: Scans, track: Track) -> RangeCalibration:
+    """The range errors of a short-range lidar, by the key scans of a track; none of any other."""
+    if scans.recording.lidar.range_max > TRIANGULATES_M:
+        return RangeCalibration()
+    key_scans = scans.of_keys(track.keys)
+    return calibrate_ranges(*key_scans, track.T_track_base[track.keys], scans.usable_m)
+
+
 def calibrate_ranges(
     clouds: Clouds, keys: NDArray[np.int64], T_track_keys: SE2, usable_m: float
 ) -> RangeCalibration:
@@ -100,16 +112,16 @@ def calibrate_ranges(
     Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
     error, to within OFFSET_M and SHARE of `usable_m`. An insignificant error counts as none.
     """
-    pairs = overlapping_pairs(T_track_keys, RADIUS_M, NEIGHBOURS)
+    pairs = overlapping_pairs(T_track_keys)
     prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
     value = np.zeros(2)
     for _ in range(ROUNDS):
         moved = RangeCalibration(*value).moved(clouds)
-        h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE)
+        h, g = _equations(moved, keys, T_track_keys.xyt, pairs, Limits.fine())
         value = value - np.linalg.solve(
             h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
         )
-    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGMAS**2
+    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGNIFICANT_SIGMAS**2
     return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
 
 
@@ -148,23 +160,22 @@ def _half(
 ) -> None:
     """Add the equations (6, 6), (6,) of a scan's points against a key's lines, of a pair (scan, key).
 
-    T_key_scan is as in `partner_line`. The unknowns are a right perturbation of the pair's pose, the share by
+    T_key_scan is as in `linearise`. The unknowns are a right perturbation of the pair's pose, the share by
     which the pair's second scan has longer ranges than its first, then offset and square.
     """
     points, normals, centers, origin = clouds.points, clouds.normals, clouds.centers, clouds.origin
-    (tx, ty, c, s), (h, g), (scan, key) = T_key_scan, equations, pair
+    (h, g), (scan, key) = equations, pair
     row_of = np.zeros(6)
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not straight[r]:
             continue
-        row, e, w = partner_line(clouds, r, key, T_key_scan, limits)
+        row, e, w, j = partner_line(clouds, r, key, T_key_scan, limits)
         if row < 0 or not straight[row]:
             continue
-        px, py = points[r, 0], points[r, 1]
-        nx, ny = normals[row, 0], normals[row, 1]
-        bx, by = c * nx + s * ny, -s * nx + c * ny
-        near, near_sine = _ray(px - origin[0], py - origin[1], bx, by)
-        far, far_sine = _ray(centers[row, 0] - origin[0], centers[row, 1] - origin[1], nx, ny)
+        px, py, nx, ny = points[r, 0], points[r, 1], normals[row, 0], normals[row, 1]
+        cx, cy = centers[row, 0], centers[row, 1]
+        near, near_sine = _ray(px - origin[0], py - origin[1], j[0], j[1])
+        far, far_sine = _ray(cx - origin[0], cy - origin[1], nx, ny)
         if min(abs(near_sine), abs(far_sine)) < GRAZING_SINE:
             continue
         # The range at which this ray meets the other scan's line. With that of the reading, its noise would
@@ -172,21 +183,22 @@ def _half(
         ray_x, ray_y = (px - origin[0]) / near, (py - origin[1]) / near
         near -= e / near_sine
         px, py = origin[0] + near * ray_x, origin[1] + near * ray_y
-        x, y = tx + c * px - s * py, ty + s * px + c * py
-        if abs(nx * (y - centers[row, 1]) - ny * (x - centers[row, 0])) > limits.gate:
+        aside, _, _ = linearise(T_key_scan, (px, py), (-ny, nx, cx, cy), 0.0)
+        if abs(aside) > limits.gate:
             continue
         if inverted:
-            row_of[0], row_of[1], row_of[2] = -nx, -ny, -(x * ny - y * nx)
+            j = of_the_line(T_key_scan, (px, py), (nx, ny))
         else:
-            row_of[0], row_of[1], row_of[2] = bx, by, by * px - bx * py
+            _, _, j = linearise(T_key_scan, (px, py), (nx, ny, cx, cy), 0.0)
+        row_of[0], row_of[1], row_of[2] = j
         both = 0.5 * (far_sine * far + near_sine * near)
         row_of[3] = both if inverted else -both
         row_of[4] = far_sine - near_sine
         row_of[5] = far_sine * far * far - near_sine * near * near
-        for i in range(6):
-            g[i] += w * row_of[i] * e
-            for j in range(6):
-                h[i, j] += w * row_of[i] * row_of[j]
+        for a in range(6):
+            g[a] += w * row_of[a] * e
+            for b in range(6):
+                h[a, b] += w * row_of[a] * row_of[b]
 
 
 @njit(cache=True)
@@ -208,5 +220,5 @@ def straight_points(clouds: Clouds, keys: NDArray) -> NDArray:
             for beside in (row - BESIDE, row + BESIDE):
                 if out[row]:
                     dot = normals[beside, 0] * normals[row, 0] + normals[beside, 1] * normals[row, 1]
-                    out[row] = line_ok[beside] and dot > math.cos(UNSURE_RAD)
+                    out[row] = line_ok[beside] and dot > math.cos(STRAIGHT_RAD)
     return out

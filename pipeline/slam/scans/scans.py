@@ -1,0 +1,67 @@
+"""The scans of a recording, whose points are made when needed, so that only those in use are in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.motion import sweep_motion
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, KeyScans, make_clouds
+from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """The scans of a recording whose sensors are corrected, and what makes points and lines of them.
+
+    Returns beyond `usable_m` are ignored; `noise` is the lidar's; `motion` (n, KNOTS) is the base's during
+    each sweep, as `sweep_motion` gives it, None if a sweep is one instant or its motion is unknown.
+    """
+
+    recording: Recording
+    usable_m: float
+    noise: RangeNoise
+    motion: SE2 | None
+
+    @staticmethod
+    def of(recording: Recording, usable_m: float) -> Scans:
+        """The scans of a recording, by its own ranges and odometry."""
+        return Scans(recording, usable_m, range_noise(recording, usable_m), sweep_motion(recording))
+
+    def __len__(self) -> int:
+        return len(self.recording)
+
+    def clouds(self, numbers: NDArray[np.int64] | None = None) -> Clouds:
+        """Points and lines of all scans, or of some (k,), numbered anew."""
+        return make_clouds(self.recording, self.usable_m, self.motion, self.noise, numbers)
+
+    def of_keys(self, keys: NDArray[np.int64]) -> KeyScans:
+        """The key scans (k,) alone, numbered anew."""
+        return KeyScans(self.clouds(keys), np.arange(len(keys)))
+
+
+def joined_keys(a: KeyScans, b: KeyScans) -> KeyScans:
+    """The key scans of two logs, those of the second after those of the first."""
+    keys = np.concatenate([a.keys, b.keys + len(a.clouds.starts) - 1])
+    return KeyScans(joined_clouds([a.clouds, b.clouds]), keys)
+
+
+def joined_clouds(clouds: Sequence[Clouds]) -> Clouds:
+    """Several clouds as one, with their scans numbered consecutively."""
+    rows = np.cumsum([0, *[len(cloud.points) for cloud in clouds]])
+    starts = [cloud.starts[:-1] + row for cloud, row in zip(clouds, rows, strict=False)]
+    tables = [
+        np.where(cloud.table >= 0, cloud.table + np.int32(row), np.int32(-1))
+        for cloud, row in zip(clouds, rows, strict=False)
+    ]
+    return Clouds(
+        **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in PER_POINT},
+        starts=np.concatenate([*starts, rows[-1:]]).astype(np.int64),
+        table=np.concatenate(tables).astype(np.int32),
+        origin=clouds[0].origin,
+    )
