@@ -13,6 +13,7 @@ from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
 from turtlebag.pipeline.navigation.goal_states import Action, Event, Machine, State, Suspension
 from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.goal_checker import STOPPED_V
@@ -23,6 +24,7 @@ PATIENCE_S = 30.0
 """Time without a scan after which the goals are given up (not measured)."""
 LOST = "the robot no longer knows where it is"
 ALIKE = "two places on the map look alike, and no reachable view distinguishes them"
+REASONS = {Action.REPORT_LOST: LOST, Action.REPORT_ALIASES: ALIKE}
 
 
 class NavigationDriver(Driver):
@@ -45,6 +47,11 @@ class NavigationDriver(Driver):
         self._goal: SE2 | None = None
         self._doubts = 0  # how often the goal only seemed to have ended
         self._now = 0
+
+    @property
+    def localiser(self) -> OnlineLocaliser | None:
+        """What estimates the pose on the map; None without a map."""
+        return None if self.relocaliser is None else self.relocaliser.localiser
 
     def step(self, observation: Observation) -> Twist:
         """Localise, bring the machine to this tick's state, and do what that asks for."""
@@ -114,13 +121,13 @@ class NavigationDriver(Driver):
 
     def _perform(self, action: Action) -> None:
         """An action of the machine's table."""
-        relocaliser, goal = self.relocaliser, self.sequence.goal
         if action is Action.FORGET:
             self.tools.obstacles.clear()
-        elif action is Action.SPREAD and relocaliser is not None:
-            relocaliser.localiser.amcl.initialise_globally()
-        elif goal is not None:
-            self.sequence.close("unreachable", LOST if action is Action.REPORT_LOST else ALIKE, self._now)
+        elif action is Action.SPREAD:
+            assert self.relocaliser is not None
+            self.relocaliser.localiser.amcl.initialise_globally()
+        elif self.sequence.goal is not None:
+            self.sequence.close("unreachable", REASONS[action], self._now)
 
     def _wait_for_scan(self, now: int) -> Twist:
         """Stand still; goals still time out, and are given up if the lidar stays silent."""
