@@ -19,6 +19,7 @@ from turtlebag.pipeline.slam.check.selfcheck import SelfCheck, check_map
 from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.graph.edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
@@ -28,11 +29,11 @@ from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.scans import Scans
-from turtlebag.pipeline.slam.sensors.corrected import corrected, heard
+from turtlebag.pipeline.slam.sensors.corrected import corrected, with_sensors
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration, range_errors
 from turtlebag.pipeline.slam.sessions import Session, join
 
@@ -160,8 +161,8 @@ def run_slam(
     loops in `recording` that the user rejected or added.
     """
     edits.require_scans(len(recording), recording.source)
-    session = closed(tracked(recording, config, progress), config, edits, progress)
-    return drawn(with_later(session, more, config, edits, progress), config)
+    session = solve_graph(track_recording(recording, config, progress), config, edits, progress)
+    return draw_map(join_later(session, more, config, edits, progress), config)
 
 
 def continue_slam(
@@ -171,17 +172,17 @@ def continue_slam(
     progress: Progress = no_progress,
 ) -> SlamResult:
     """As `run_slam`, but from the finished session of an earlier map instead of its recording."""
-    return drawn(with_later(session, more, config, Edits(), progress), config)
+    return draw_map(join_later(session, more, config, Edits(), progress), config)
 
 
-def tracked(recording: Recording, config: SlamConfig, progress: Progress) -> Session:
+def track_recording(recording: Recording, config: SlamConfig, progress: Progress) -> Session:
     """From a recording to a graph without loops: key scans, and the steps between them.
 
     Its sensors are corrected by each other, then its scans are followed one by one: once more if the lidar
     turns out to have range errors.
     """
     config, make = config.effective(), front_end_maker(config.effective().front_end)
-    log = heard(recording, config.sensors, config.front_end, deskew=config.deskew)
+    log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
     usable = config.usable(log.lidar)
     log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
     scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
@@ -195,7 +196,7 @@ def tracked(recording: Recording, config: SlamConfig, progress: Progress) -> Ses
     return Session(log, key_scans, scans.motion, track, evidence, breaks, graph, ranges)
 
 
-def closed(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
+def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
     """The session with the loops of its graph closed, by distance and by appearance, and the poses of all
     overlapping key scans refined together."""
     config, keys = config.effective(), session.track.keys
@@ -213,7 +214,7 @@ def closed(session: Session, config: SlamConfig, edits: Edits, progress: Progres
     return replace(session, graph=graph)
 
 
-def with_later(
+def join_later(
     session: Session, more: Sequence[Recording], config: SlamConfig, edits: Edits, progress: Progress
 ) -> Session:
     """The session with later recordings, each mapped alone and then joined to it."""
@@ -223,13 +224,13 @@ def with_later(
             "map each separately, or drop sensors=odometry"
         )
     for recording in more:
-        other = closed(tracked(recording, config, progress), config, Edits(), progress)
+        other = solve_graph(track_recording(recording, config, progress), config, Edits(), progress)
         both = join(session, other, config.place_recognition, config.loops, config.tracking)
-        session = closed(both, config, edits, progress)
+        session = solve_graph(both, config, edits, progress)
     return session
 
 
-def drawn(session: Session, config: SlamConfig) -> SlamResult:
+def draw_map(session: Session, config: SlamConfig) -> SlamResult:
     """The map of a session: a pose for every scan, the grid, and its check."""
     log, track, graph = session.recording, session.track, session.graph
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])

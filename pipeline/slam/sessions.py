@@ -12,13 +12,14 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.factors import ALONG_THE_LOG, Constraint, Graph, Kind
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.submaps import windows
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
 from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.scans import joined_keys
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
@@ -69,8 +70,9 @@ def join(
     loops: LoopConfig,
     tracking: TrackingConfig,
 ) -> Session:
-    """Session `b` located in the map of `a`, and the two as one: only one weak constraint connects them, and
-    the loops between them are still to be closed. InputError if no place of `a` is recognised."""
+    """Session `b`, one recording, located in the map of `a`, and the two as one: only a weak constraint
+    connects them, and the loops between them are still to be closed. InputError if no place of `a` is
+    recognised."""
     recording, border = joined_recording([a.recording, b.recording]), len(a.recording)
     key_scans = joined_keys(a.key_scans, b.key_scans)
     T_map_b = place_of(key_scans, a, b, places, loops)
@@ -80,13 +82,15 @@ def join(
         )
     track_a, track_b = a.carried(), b.carried()
     track = joined_track(track_a, track_b, T_map_b)
-    evidence = evidence_of(recording, track, tracking.odometry, np.array([border]))
-    weak = border_constraint(track_a, a.graph.T_map_keys, T_map_b, track_b)
-    steps = [c for c in step_constraints(track, tracking, evidence.distrusted) if c.i != weak.i]
+    evidence = evidence_of(recording, track, tracking.odometry, np.append(a.evidence.borders, border))
+    weak = [c for c in a.graph.constraints if c.kind is Kind.BORDER]
+    weak.append(border_constraint(track_a, a.graph.T_map_keys, T_map_b, track_b))
+    ends = {c.j for c in weak}
+    steps = [c for c in step_constraints(track, tracking, evidence.distrusted) if c.j not in ends]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     breaks = joined_breaks(a.bridged(), b.bridged(), border)
-    graph = Graph(track.T_track_base[track.keys], [*steps, weak], [], [], breaks.broken)
+    graph = Graph(track.T_track_base[track.keys], [*steps, *weak], [], [], breaks.broken)
     return Session(recording, key_scans, motion, track, evidence, breaks, graph, a.ranges)
 
 

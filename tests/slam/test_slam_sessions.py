@@ -6,6 +6,7 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.slam.graph.factors import Kind
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.scans import joined_clouds
@@ -36,6 +37,21 @@ def test_second_session_joins_the_first_map():
     stamps = np.arange(200) * 10**9
     both = ate(Trajectory(stamps, result.trajectory.poses), Trajectory(stamps, truth), align=False)
     assert both["rmse"] < 0.01
+
+
+@pytest.mark.slow
+def test_a_third_session_joins_and_no_step_leads_from_one_to_the_next():
+    a, few = recording(ROOM, FIRST, odometry=drifted(FIRST)), SECOND[:26]
+    later = [
+        recording(ROOM, few, odometry=(SE2.from_xyt(x, 9.0, -2.2) @ SE2.from_array(few)).xyt, seed=seed)
+        for x, seed in ((-4.0, 7), (20.0, 8))
+    ]
+    session = run_slam(a, SlamConfig(), more=later).session
+    assert session.evidence.borders.tolist() == [100, 126]
+    for j in np.searchsorted(session.track.keys, [100, 126]).tolist():
+        kinds = {c.kind for c in session.graph.constraints if (c.i, c.j) == (j - 1, j)}
+        assert Kind.BORDER in kinds
+        assert not kinds & {Kind.STEP, Kind.WHEELS, Kind.STEADY}
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.graph.factors import Constraint
@@ -32,7 +33,7 @@ from turtlebag.pipeline.slam.online.clouds import GrowingClouds
 from turtlebag.pipeline.slam.online.columns import Columns
 from turtlebag.pipeline.slam.online.log import GrowingLog
 from turtlebag.pipeline.slam.online.loops import GrowingLoops
-from turtlebag.pipeline.slam.scans.clouds import KeyScans, known_motion
+from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.range_noise import SCANS, range_noise
 
 # Key scans of one place: of this size, seen in one of this many directions.

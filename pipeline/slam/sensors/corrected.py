@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.sensors.repeated_scans import without_repeats
 from turtlebag.pipeline.slam.sensors.turn_comparison import compared_turns, in_step
 
 
-def heard(recording: Recording, sensors: str, front_end: str, *, deskew: bool) -> Recording:
+def with_sensors(recording: Recording, sensors: str, front_end: str, *, deskew: bool) -> Recording:
     """The recording reduced to the sensors asked for, `both`, `lidar` or `odometry`; its sweeps are instants
     unless they are to be deskewed. InputError if it has no scans, or not the odometry that is needed."""
     if len(recording) == 0:
