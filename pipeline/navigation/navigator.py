@@ -58,7 +58,9 @@ class NavigationDriver(Driver):
         now, relocaliser, machine = observation.stamp_ns, self.relocaliser, self.machine
         span_ns, self._now = now - self._now, now
         sweep, active = self.sensing.observe(observation), not self.sequence.finished
-        T_frame_odom = self._localise(observation)
+        if self.localiser is not None:
+            self.localiser.observe(observation)
+        T_frame_odom = self._frame(observation)
         if relocaliser is not None and not relocaliser.localiser.amcl.initialised:
             self.sequence.close_all("rejected", "no initial pose", now)
             return self._stop(Suspension.NO_POSE, finished=True)
@@ -68,7 +70,7 @@ class NavigationDriver(Driver):
             return self._wait_for_scan(now)
         if relocaliser is not None:
             relocaliser.update(observation, examine=active)
-            T_frame_odom = self._estimated(observation)
+            T_frame_odom = self._frame(observation)
             if machine.within(State.LOST) and active:
                 return self._find(relocaliser, observation, span_ns)
         if sweep is not None and T_frame_odom is not None:
@@ -105,10 +107,11 @@ class NavigationDriver(Driver):
     def stand_by(self, observation: Observation) -> None:
         """Keep localising and sensing during a teleop override; the goal's clock stops."""
         sweep = self.sensing.observe(observation)
-        if self.relocaliser is None or self.relocaliser.localiser.amcl.initialised:
-            T_frame_odom = self._localise(observation)
-            if sweep is not None and T_frame_odom is not None:
-                self._see(sweep, T_frame_odom, self.tools.obstacles)
+        if self.localiser is not None:
+            self.localiser.observe(observation)
+        T_frame_odom = self._frame(observation)
+        if sweep is not None and T_frame_odom is not None:
+            self._see(sweep, T_frame_odom, self.tools.obstacles)
         self.sequence.postpone(observation.stamp_ns - self._now)
         self._now = observation.stamp_ns
 
@@ -160,18 +163,15 @@ class NavigationDriver(Driver):
         self.goal_index = self.sequence.index if goal is not None else -1
         return goal
 
-    def _localise(self, observation: Observation) -> SE2 | None:
-        """The odometry frame in the frame of goals and costmap; None while it is unknown."""
-        if self.relocaliser is None:
-            return SE2.identity()
-        self.relocaliser.localiser.observe(observation)
-        return self._estimated(observation)
+    def _frame(self, observation: Observation) -> SE2 | None:
+        """The odometry frame in the frame of goals and costmap; None while it is unknown.
 
-    def _estimated(self, observation: Observation) -> SE2 | None:
-        """The same, by the localiser's pose, which jumps when the estimate is moved to another place."""
-        assert self.relocaliser is not None
-        self.estimate = self.relocaliser.localiser.T_map_base(observation.odometry.T_odom_base)
-        return self.relocaliser.localiser.T_map_odom
+        It jumps when the localiser's estimate is moved to another place.
+        """
+        if self.localiser is None:
+            return SE2.identity()
+        self.estimate = self.localiser.T_map_base(observation.odometry.T_odom_base)
+        return self.localiser.T_map_odom
 
     def _pursue(self, goal: SE2, observation: Observation, pose: SE2) -> Twist:
         """The next step to a goal; one in an obstacle or off the map is rejected."""
