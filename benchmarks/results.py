@@ -154,7 +154,7 @@ def simulated(rows: dict[str, list[Row]]) -> Iterable[list[str]]:
 def logs(rows: dict[str, list[Row]]) -> Iterable[list[str]]:
     """The lines of the table of public logs [m / deg]; a log without all its runs has none."""
     published = ("Cartographer", "Graph Mapping", "gmapping")
-    yield ["log", "as recorded", "median", "worst", *published, "command"]
+    yield ["log", "as recorded", "median", "worst", "called good", *published, "command"]
     for log in RADISH:
         cases = {row["seed"]: row for row in rows.get(log, []) if "m" in row}
         if len(cases) <= RUNS:
@@ -163,7 +163,9 @@ def logs(rows: dict[str, list[Row]]) -> Iterable[list[str]]:
         told = [errors[0], np.median(errors[1:], axis=0), errors[1:].max(axis=0)]
         _, gmapping, graph_mapping, cartographer = PUBLISHED[log]
         ours = [f"{m:.4f} / {deg:.3f}" for m, deg in told]
-        yield [log, *ours, cartographer, graph_mapping, gmapping, command(log)]
+        good = sum(cases[seed]["verdict"] == "good" for seed in sorted(cases))
+        verdict = f"{good} of {len(cases)}"
+        yield [log, *ours, verdict, cartographer, graph_mapping, gmapping, command(log)]
 
 
 def table(lines: Iterable[list[str]]) -> str:

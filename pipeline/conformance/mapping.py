@@ -47,8 +47,9 @@ EMPTY, GAP, BACK, HOSTILE = (12, 13), 24, 34, 40
 def check_front_end(front_end: Callable[[Any], FrontEnd], *, without_odometry: bool = True) -> None:
     """A lap of a room, with odometry and without, with scans that saw nothing, and a gap.
 
-    AssertionError in one line says what the contract asks (`FrontEnd` in
-    `turtlebag.pipeline.slam.odometry.front_end`). `without_odometry=False` is for those that need odometry.
+    AssertionError in one line says what the contract asks
+    (`turtlebag.pipeline.slam.odometry.front_end.FrontEnd`). `without_odometry=False` is for those that need
+    odometry.
     """
     poses = lap()
     truth = SE2(poses[0]).inverse() @ SE2(poses)

@@ -37,9 +37,10 @@ def test_a_row_with_too_few_runs_is_left_out_and_a_run_that_failed_is_counted():
 
 
 def test_a_log_is_told_as_recorded_beside_its_noisier_runs():
-    rows = [{"seed": k, "m": 0.01 * k, "deg": 0.1 * k} for k in range(RUNS + 1)]
+    verdicts = ["good", "doubtful", *["good"] * (RUNS - 1)]
+    rows = [{"seed": k, "m": 0.01 * k, "deg": 0.1 * k, "verdict": v} for k, v in enumerate(verdicts)]
     (line,) = list(logs({"intel": rows}))[1:]
-    assert line[:4] == ["intel", "0.0000 / 0.000", "0.0550 / 0.550", "0.1000 / 1.000"]
+    assert line[:5] == ["intel", "0.0000 / 0.000", "0.0550 / 0.550", "0.1000 / 1.000", "10 of 11"]
     assert list(logs({"intel": rows[:-1]}))[1:] == []
 
 

@@ -16,7 +16,6 @@ from pathlib import Path
 import yaml
 from numba.core.event import Listener, install_listener
 
-from tests.helpers.report_fakes import unrendered
 from turtlebag.pipeline.cli.main import main
 
 WILD = [
@@ -188,10 +187,7 @@ def limits(seconds, waiting, memory_bytes=6 << 30):
 
 
 def outcome(words, seconds=5.0, *, command=main, waiting=WAITING):
-    """Exit code of a command line and all it said on stderr; a traceback's code is None, TooSlow's -1.
-
-    Figures are composed, not drawn: nine tenths of a report's time.
-    """
+    """Exit code of a command line and all it said on stderr; a traceback's code is None, TooSlow's -1."""
     with tempfile.TemporaryFile("w+") as said, contextlib.redirect_stderr(said):
         saved = os.dup(2)
         os.dup2(said.fileno(), 2)
@@ -199,7 +195,6 @@ def outcome(words, seconds=5.0, *, command=main, waiting=WAITING):
         try:
             with (
                 limits(seconds, waiting),
-                unrendered(),
                 open(os.devnull, "w") as nowhere,
                 contextlib.redirect_stdout(nowhere),
             ):

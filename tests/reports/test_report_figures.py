@@ -13,7 +13,7 @@ from turtlebag.pipeline.campaign.campaign_file import Figure
 from turtlebag.pipeline.campaign.figures import result_over_factor
 from turtlebag.reports.compare import draw_comparison
 from turtlebag.reports.drawing import decisions_of, draw_localise, draw_map, draw_run
-from turtlebag.reports.figures import animation, runs
+from turtlebag.reports.figures import runs
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.maps import length_text, scale_length
 from turtlebag.reports.figures.particles import particles, zoom_box
@@ -77,7 +77,6 @@ def test_the_colour_of_bad_means_nothing_else():
     usual = [to_hex(line["color"]) for line in LINES.values()] + [to_hex(colour) for colour in SERIES]
     assert to_hex(BAD) not in usual
     assert {end for end, (colour, _, _) in runs.ENDS.items() if colour != BAD} == {"reached"}
-    assert tuple(round(255 * part) for part in to_rgb(BAD)) == animation.COLOURS[animation.ORANGE]
     assert BAD not in {colour for _, colour, _ in runs.DECISIONS.values()}
     # Nor any shade of it: nothing else is orange.
     hues = [np.subtract(to_rgb(colour), to_rgb(BAD)) for colour in usual]

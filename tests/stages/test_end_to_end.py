@@ -130,12 +130,14 @@ def test_quiet_stages_print_their_results_and_nothing_else(stages, tmp_path, cap
 
 
 def test_a_robot_that_was_not_told_its_pose_refuses_and_says_so(stages, tmp_path):
-    found = metrics(stages / "untold")
+    task = ("--world", "turtlebot3_world", "--task", "goal", "--goal=0,2,0", "--map", stages / "map")
+    assert turtlebag("navigate", *task, "--out", tmp_path / "untold") == 1
+    found = metrics(tmp_path / "untold")
     assert found["goals"][0]["status"] == "rejected"
     assert "no initial pose" in found["goals"][0]["reason"]
     assert found["distance_m"] < 0.01
     # It ended before the first scan; that can be shown, and checked, too.
-    assert turtlebag("report", stages / "untold", "--no-animation", "--out", tmp_path / "report") == 0
+    assert turtlebag("report", tmp_path / "untold", "--no-animation", "--out", tmp_path / "report") == 0
     seen = verify(tmp_path / "report")
     assert (seen.problems, seen.not_run) == ([], [])
     assert "0 of 1 task succeeded" in (tmp_path / "report" / "index.html").read_text()
