@@ -2,13 +2,12 @@
 
 python -m benchmarks.plan [--quick] [--queries N] [--out DIR]
 
-Planned is for a disc that holds the footprint (`disc`, the default), and for the footprint itself in SE(2).
-Length is over that of the truly shortest collision-free way of the footprint
-(plan_shortest). Time is CPU time of one query, costmap ready. Every path found is checked anew, pose by
-pose. The Intel map is made by `turtlebag map` from TURTLEBAG_DATA/radish/intel.clf.bz2, and left out
-without it. `solved` is what the planner itself found, `answered` counts the last resorts of the product
-(the way over the cells), too. Written: tables, every query (plan.csv), and logs in OMPL's format with their
-database (plan.db) for Planner Arena.
+Length is over that of the truly shortest collision-free way of the footprint (plan_shortest). Time is CPU
+time of one query, costmap ready. Every path is checked anew, pose by pose. The Intel map is made by
+`turtlebag map` from TURTLEBAG_DATA/radish/intel.clf.bz2, and left out without it. `solved` is what the
+planner itself found, `answered` counts the last resorts of the product (the way over the cells), too.
+Written: tables, every query (plan.csv), and logs in OMPL's format with their database (plan.db) for Planner
+Arena.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from typing import get_args
 
 import numpy as np
 
-from benchmarks.drives import PLACES, built_map
+from benchmarks.drives import built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
 from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_shortest import Lattice
@@ -35,7 +34,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_free, path_clearance, sample_footprint
 from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, plan_path
-from turtlebag.planners.ompl_planner import OmplConfig, PlannerName, Space
+from turtlebag.planners.ompl_planner import OmplConfig, PlannerName
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import densify
 from turtlebag.sim.robots import RobotSpec, load_robot
@@ -50,7 +49,6 @@ MAPS = (
     ("maze:2", "burger"),
     ("office:1", "waffle_pi"),
 )
-POSE_MAPS = tuple(PLACES.values())
 LEAST_APART_M = 1.0
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
 """Unsolvable queries, and the gap in footprints' widths."""
@@ -90,28 +88,27 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
     return Place(robot, costmap, grid, cells, tuple(queries))
 
 
-def config_of(planner: PlannerName, space: Space) -> PlanConfig:
-    """The product's settings; planners that go on improving in headings, too, get fewer iterations."""
-    quick = planner in ("RRT", "RRTConnect", "KPIECE1", "BKPIECE1", "LBKPIECE1")
+def config_of(planner: PlannerName) -> PlanConfig:
+    """The product's settings."""
     # FMT asks at every sample it draws, and draws them all first.
-    iterations = 10000 if planner in ("FMT", "BFMT") else 4000 if space == "disc" or quick else 1000
-    return PlanConfig(ompl=OmplConfig(planner=planner, space=space, iterations=iterations))
+    iterations = 10000 if planner in ("FMT", "BFMT") else 4000
+    return PlanConfig(ompl=OmplConfig(planner=planner, iterations=iterations))
 
 
 def ask(at: Place, a: SE2, b: SE2, config: PlanConfig, seed: int) -> tuple[Plan | None, float]:
     """(plan or None, CPU milliseconds)."""
     start = time.process_time()
     try:
-        found = plan_path(at.costmap, at.robot.model, a, b, config, seed)
+        plan = plan_path(at.costmap, at.robot.model, a, b, config, seed)
     except NoPath:
-        found = None
-    return found, (time.process_time() - start) * 1e3
+        plan = None
+    return plan, (time.process_time() - start) * 1e3
 
 
-def clearance(at: Place, found: Plan, space: str) -> float:
+def clearance(at: Place, plan: Plan) -> float:
     """Least clearance of the footprint on the path [m], every 2 cm of it; <= 0 is a collision."""
-    poses = at.costmap.T_grid_map @ found.poses
-    if space == "disc" and found.planner != ORIENTED:
+    poses = at.costmap.T_grid_map @ plan.poses
+    if plan.planner != ORIENTED:
         dense = densify(np.ascontiguousarray(poses.xy), 0.02)
         step = np.diff(dense, axis=0, append=dense[-1:] + (dense[-1:] - dense[-2:-1]))
         yaw = np.arctan2(step[:, 1], step[:, 0])
@@ -126,26 +123,24 @@ def clearance(at: Place, found: Plan, space: str) -> float:
 
 
 @cache
-def compiled(space: Space) -> None:
+def compiled() -> None:
     """Plan once, so that no row pays for what is compiled or loaded."""
     at = place(*MAPS[0], 1, Path())
-    ask(at, *at.queries[0][:2], config_of("RRTConnect", space), SEED)
+    ask(at, *at.queries[0][:2], config_of("RRTConnect"), SEED)
 
 
-def plan_row(
-    map: str, robot: str, space: Space, query: int, planner: PlannerName, count: int, out: Path
-) -> Row:
+def plan_row(map: str, robot: str, query: int, planner: PlannerName, count: int, out: Path) -> Row:
     """A planner on one of `count` queries of a place."""
-    compiled(space)
+    compiled()
     at = place(map, robot, count, out)
     a, b, shortest = at.queries[query]
-    found, ms = ask(at, a, b, config_of(planner, space), SEED + query)
-    least = math.nan if found is None else clearance(at, found, space)
-    length = math.nan if found is None else found.length
+    plan, ms = ask(at, a, b, config_of(planner), SEED + query)
+    least = math.nan if plan is None else clearance(at, plan)
+    length = math.nan if plan is None else plan.length
     return {
-        "answered": int(found is not None),
-        "solved": int(found is not None and found.planner not in (OVER_CELLS, ORIENTED)),
-        "correct": int(found is not None and least > 0.0),
+        "answered": int(plan is not None),
+        "solved": int(plan is not None and plan.planner not in (OVER_CELLS, ORIENTED)),
+        "correct": int(plan is not None and least > 0.0),
         "time_ms": ms,
         "length_m": length,
         "shortest_m": shortest,
@@ -156,7 +151,7 @@ def plan_row(
 
 def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
     """CPU milliseconds to refuse goals walled off by a ring, by its gap in REFUSED."""
-    compiled("disc")
+    compiled()
     at, gap = place(map, robot, count, out), REFUSED[goals]
     times: list[float] = []
     rng = stream(2, f"plan {map} {robot}")
@@ -173,8 +168,8 @@ def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
         wall &= (dx < 0.0) | (np.abs(dy) > 0.5 * gap * across)
         walled = at.costmap.with_lethal(wall)
         walled.clearance_at(a.xy)  # the field is made before the clock starts
-        found, ms = ask(replace(at, costmap=walled), a, b, PlanConfig(), len(times))
-        if found is not None:
+        plan, ms = ask(replace(at, costmap=walled), a, b, PlanConfig(), len(times))
+        if plan is not None:
             raise RuntimeError("a walled-off goal was reached")
         times.append(ms)
     return {"ms": times}
@@ -182,19 +177,19 @@ def refusal_row(map: str, robot: str, goals: str, count: int, out: Path) -> Row:
 
 def refused(rows: Sequence[Row]) -> list[Row]:
     """A line for each kind of goal."""
-    found = []
+    lines = []
     for (goals,), part in grouped(rows, "goals").items():
         ms = [time for row in part for time in row.get("ms", ())]
         figures = {"median ms": float(np.median(ms)), "longest ms": max(ms)} if ms else {}
-        found.append({"goals": goals, "refused": len(ms)} | figures)
-    return found
+        lines.append({"goals": goals, "refused": len(ms)} | figures)
+    return lines
 
 
 def figures(rows: Sequence[Row]) -> Row:
     """One line of the table."""
     ms = np.array([row["time_ms"] for row in rows])
-    found = [row for row in rows if row["answered"]] or [{"ratio": math.nan, "clearance_m": math.nan}]
-    ratio, room = (np.array([row[key] for row in found]) for key in ("ratio", "clearance_m"))
+    answers = [row for row in rows if row["answered"]] or [{"ratio": math.nan, "clearance_m": math.nan}]
+    ratio, room = (np.array([row[key] for row in answers]) for key in ("ratio", "clearance_m"))
     counts = {key: sum(row[key] for row in rows) for key in ("answered", "solved", "correct")}
     return {"queries": len(rows)} | counts | {
         "median ms": f"{np.median(ms):.1f}", "95 % ms": f"{np.percentile(ms, 95):.1f}",
@@ -206,22 +201,21 @@ def figures(rows: Sequence[Row]) -> Row:
 def table(rows: Sequence[Row]) -> list[Row]:
     """A line for each planner, then one for each map by the default; plans that crashed have none."""
     done = [row for row in rows if "error" not in row]
-    default = [row for row in done if row["planner"] == OmplConfig(space=row["space"]).name]
-    keys = ("space", "planner", "map", "robot")
+    default = [row for row in done if row["planner"] == OmplConfig().name]
+    keys = ("planner", "map", "robot")
     parts = grouped([row | {"map": "all", "robot": ""} for row in done], *keys) | grouped(default, *keys)
     return [dict(zip(keys, key, strict=True)) | figures(part) for key, part in parts.items()]
 
 
 def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """A log for each map, robot and space."""
+    """A log for each map and robot."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for (name, robot, space), part in grouped(rows, "map", "robot", "space").items():
-        runs = {planner: found for (planner,), found in grouped(part, "planner").items()}
-        experiment = f"{name}-{robot}".replace(":", "_")
-        paths.append(folder / f"{experiment}-{space}.log")
-        setup = f"map {name}, robot {robot}, space {space}, {max(map(len, runs.values()))} queries"
-        write_log(paths[-1], experiment, space, setup, runs)
+    for (name, robot), part in grouped(rows, "map", "robot").items():
+        runs = {planner: queries for (planner,), queries in grouped(part, "planner").items()}
+        paths.append(folder / f"{name}-{robot}.log".replace(":", "_"))
+        setup = f"map {name}, robot {robot}, {max(map(len, runs.values()))} queries"
+        write_log(paths[-1], name.replace(":", "_"), robot, setup, runs)
     return paths
 
 
@@ -232,13 +226,9 @@ def suites(args: Namespace) -> dict[str, Suite]:
     there = [m for m in (MAPS[:2] if quick else MAPS) if m[0] != "intel" or public_log("intel")]
     plans, refusals = [], []
     for map, robot in there:
-        oriented = ("se2",) if (map, robot) in (POSE_MAPS[:1] if quick else POSE_MAPS) else ()
-        for space in ("disc", *oriented):
-            few = ["BITstar", "RRTConnect", "PRM"] if space == "disc" else ["RRTConnect"]
-            count = queries if space == "disc" else 2 if quick else max(4, queries // 2)
-            about = {"map": (map,), "robot": (robot,), "space": (space,), "query": range(count)}
-            measure = partial(plan_row, count=queries, out=out)
-            plans += every(measure, **about, planner=few if quick else get_args(PlannerName))
+        planners = ["BITstar", "RRTConnect", "PRM"] if quick else get_args(PlannerName)
+        measure = partial(plan_row, count=queries, out=out)
+        plans += every(measure, map=(map,), robot=(robot,), query=range(queries), planner=planners)
         shut = partial(refusal_row, count=queries, out=out)
         refusals += every(shut, map=(map,), robot=(robot,), goals=REFUSED)
     return {
@@ -250,6 +240,6 @@ def suites(args: Namespace) -> dict[str, Suite]:
 if __name__ == "__main__":
     parser = options(__doc__, "data/benchmarks/plan", "few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
-    args, known = parsed(parser, suites)
-    if rows := [row for row in run(args, known).get("plan", []) if "error" not in row]:
+    args, chosen = parsed(parser, suites)
+    if rows := [row for row in run(args, chosen).get("plan", []) if "error" not in row]:
         write_database(args.out / "plan.db", logs(rows, args.out / "logs"))

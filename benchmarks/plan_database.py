@@ -31,7 +31,7 @@ PROPERTIES = {
 
 
 def write_log(
-    path: Path, experiment: str, space: str, setup: str, runs: Mapping[str, Sequence[Mapping[str, float]]]
+    path: Path, experiment: str, robot: str, setup: str, runs: Mapping[str, Sequence[Mapping[str, float]]]
 ) -> None:
     """One experiment: `runs` of each planner are rows of solved, correct, time_ms ... clearance_m.
 
@@ -40,7 +40,7 @@ def write_log(
     count = max(len(rows) for rows in runs.values())
     lines = [
         f"OMPL version {version('ompl')}", f"Experiment {experiment}", "1 experiment properties",
-        f"space TEXT = {space}", "Running on -", "Starting at -", "<<<|", setup, "|>>>",
+        f"robot TEXT = {robot}", "Running on -", "Starting at -", "<<<|", setup, "|>>>",
         f"{SEED} is the random seed", "0 seconds per run", "0 MB per run", f"{count} runs per planner",
         "0 seconds spent to collect the data", "1 enum type", "|".join(("status", *STATUS)),
         f"{len(runs)} planners",

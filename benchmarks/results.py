@@ -26,7 +26,21 @@ from benchmarks.drives import PLACES, Maps
 from benchmarks.known_logs import Known
 from benchmarks.localise import accuracy
 from benchmarks.navigate import about, episode_row, scenarios
-from benchmarks.runner import ROOT, Case, Row, Suite, each, every, options, parsed, public_log, run
+from benchmarks.runner import (
+    ROOT,
+    Case,
+    Row,
+    Rows,
+    Suite,
+    code_of,
+    each,
+    every,
+    options,
+    parsed,
+    public_log,
+    rows_file,
+    run,
+)  # fmt: skip
 from benchmarks.slam_logs import DRIVE, PUBLISHED, RADISH, by_name, drive_row, mapped
 from turtlebag.datasets.seeds import stream
 
@@ -168,11 +182,13 @@ def commit() -> str:
 
 
 def main() -> None:
-    """Measure what has no row yet, print and write both tables."""
+    """Measure what has no row yet, print and write both tables of all rows that this code has."""
     parser = options(__doc__, "data/benchmarks/results", runs=30)
     args, known = parsed(parser, suites, workers=os.cpu_count() or 1)
     out = args.out
-    rows = run(args, known)
+    run(args, known)
+    code = code_of(CODE)
+    rows = {name: Rows(rows_file(out, name), code).of(suite.cases) for name, suite in known.items()}
     text = f"Measured with commit {commit()}.\n\n{table(simulated(rows))}\n{table(logs(rows))}"
     (out / "results.md").write_text(text)
     print(text)

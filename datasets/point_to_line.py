@@ -1,7 +1,7 @@
 """Points against lines: the residual that mapping and localisation minimise, its weight and its derivative.
 
-A point of a scan lies on a line that another scan, or a map, has of the same surface (Chen and Medioni 1992;
-in the plane Censi 2008). The equations are numbered as in docs/how-it-maps.md.
+A point of a scan lies on a line that another scan, or a map, has of the same surface (Censi 2008). Equations
+are numbered as in docs/how-it-maps.md.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ def linearise(
     line: tuple[float, float, float, float],
     inv_sigma2: float,
 ) -> tuple[float, float, Jacobian]:
-    """Distance e [m] of a scan's point from a line, its robust weight w (0 to 1) and its derivative j.
+    """Distance e [m] of a scan's point from a line, its robust weight w (0 to 1) and its derivative j (3,).
 
-    T_line_scan is x, y, and the cosine and sine of the yaw (t, R); the point p is in the scan's frame, the
-    line, its unit normal n and a point c on it, in that of the line. A point sigma off counts a quarter.
+    T = T_line_scan is x, y, and the cosine and sine of the yaw; the point p is in the frame of the scan, the
+    line, its unit normal n and a point c on it, in its own. `inv_sigma2` is 1 / s^2 [1/m^2].
 
-    (1) e = n . (R p + t - c)
-    (2) w = 1 / (1 + e^2 / sigma^2)^2, after Geman and McClure
-    (3) j = (n', p x n') with n' = R^T n, by a motion of the scan in its own frame; H = sum w/sigma^2 j j^T is
-        the information about it, and with g = sum w/sigma^2 j e the Gauss-Newton step is -H^-1 g
+    (1) e = n . (T p - c)
+    (2) w = (1 + e^2 / s^2)^-2, after Geman and McClure: s off, a point counts a quarter
+    (3) j = (n', p x n') with n' = R^T n, by a motion (x, y, yaw) of the scan in its own frame. H = sum of
+        w/s^2 j j^T is the information about that motion, less what errors of the normals fake (`observable`);
+        with g = sum of w/s^2 j e, the Gauss-Newton step is -H^-1 g.
     """
     (tx, ty, c, s), (px, py), (nx, ny, cx, cy) = T_line_scan, point, line
     x, y = tx + c * px - s * py, ty + s * px + c * py

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
 from turtlebag.datasets.bags.plausibility import ARM_M
-from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.bags.source import is_bag, open_bag
 from turtlebag.datasets.carmen import is_carmen, parse_carmen
 from turtlebag.datasets.errors import InputError
@@ -33,7 +32,7 @@ def load_recording(
     if T_base_lidar is None or not upside_down:
         return recording
     note = "the laser is mounted upside down; its scans were flipped"
-    return replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, note))
+    return replace(recording, lidar=recording.lidar.turned_over(), notes=(*recording.notes, note))
 
 
 def _read(path: Path, T_base_lidar: SE2 | None, topic: str | None) -> Recording:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -60,6 +60,10 @@ class LidarSpec:
     def directions(self) -> Array:
         """Unit vectors of the beams in the lidar frame, (n_beams, 2)."""
         return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
+
+    def turned_over(self) -> LidarSpec:
+        """Its beams when mounted upside down, as seen from above; each keeps its time within the sweep."""
+        return replace(self, angle_min=-self.angle_min, angle_increment=-self.angle_increment)
 
     def returns(self, ranges: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Which ranges [m] (any shape) are returns from a surface."""

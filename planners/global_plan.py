@@ -27,7 +27,6 @@ from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, OmplConfig, solve
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan
-from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 
 BAND_PULL, BAND_PUSHES, BAND_ITERATIONS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
@@ -39,12 +38,10 @@ TIGHT_PULL, TIGHT_ITERATIONS = 0.9, 300
 INFORMED = 1.1
 """OMPL searches only floor on some way at most this much longer than the shortest over the cells: without
 it RRTConnect's are 2.5 % longer on average, one 78 % (48 plans on eight maps)."""
-POSE_RUNS = 12
-"""New seeds for a path of poses that is not found. Not measured."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
-"""What finds a path when the planner asked does not: tightened ways over cells, or cells and headings."""
+"""Planners of last resort: tightened ways over cells, or cells and headings."""
 
 
 class PlanConfig(Settings, allow_inf_nan=False):
@@ -95,32 +92,24 @@ class OmplPlanner:
 
     def plan(self, costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2, seed: int) -> Plan:
         """As in `GlobalPlanner`."""
+        config = self._config
         start, goal = costmap.T_grid_map @ T_map_start, costmap.T_grid_map @ T_map_goal
-        if self._config.ompl.space != "disc":
-            return _plan_poses(costmap, model, start, goal, self._config, seed)
-        return _plan_disc(costmap, model, start, goal, self._config, seed)
-
-
-def _plan_disc(
-    costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig, seed: int
-) -> Plan:
-    """A path of the disc round the footprint, or of the footprint itself where that has none."""
-    way, reason = _disc_way(costmap, model, start, goal, config, seed)
-    if way is not None:
-        poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
-        plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner)
-        if blocked_until(costmap, model.footprint, poses) is None:
-            return plan
-    oriented = _oriented_plan(costmap, model, start, goal, config)
-    if oriented is not None:
-        return oriented
-    if way is None:
-        raise NoPath(reason)
-    # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
-    stuck = blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses)
-    if stuck is not None and stuck > 2.0 * SNAP_M:
-        raise NoPath("no path to the goal")
-    return plan
+        way, reason = _disc_way(costmap, model, start, goal, config, seed)
+        if way is not None:
+            poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
+            plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner)
+            if blocked_until(costmap, model.footprint, poses) is None:
+                return plan
+        oriented = _oriented_plan(costmap, model, start, goal, config)
+        if oriented is not None:
+            return oriented
+        if way is None:
+            raise NoPath(reason)
+        # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
+        stuck = blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses)
+        if stuck is not None and stuck > 2.0 * SNAP_M:
+            raise NoPath("no path to the goal")
+        return plan
 
 
 def _disc_way(
@@ -195,37 +184,6 @@ def _shortest(costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config
     return path_length(search.tightened(search.grid_path(entry, exit_)))
 
 
-def _plan_poses(
-    costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig, seed: int
-) -> Plan:
-    """A path in position and heading; the lattice tells at once when there is none."""
-    if not fits(costmap, model, costmap.T_map_grid @ start):
-        raise NoPath("the robot is in an obstacle or off the map")
-    footprint = cell_padded(costmap, model.footprint, (start, goal))
-    if not Lattice(costmap, footprint, 0.0).joins(start, goal):
-        raise NoPath("no path to the goal in any heading")
-    name = f"{config.ompl.name} in {config.ompl.space}"
-    if np.allclose((start.inverse() @ goal).xyt, 0.0):
-        there = SE2(np.stack([start.xyt, goal.xyt]))
-        return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name)
-    for run in range(POSE_RUNS):
-        poses = solve_poses(costmap, footprint, start, goal, config.ompl, seed + run)
-        if poses is not None:
-            return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name)
-    oriented = _oriented_plan(costmap, model, start, goal, config)
-    if oriented is not None:
-        return oriented
-    raise NoPath(f"{config.ompl.name} found no path within its iterations")
-
-
-def cell_padded(costmap: Costmap, footprint: Array, ends: tuple[SE2, SE2]) -> Array:
-    """The footprint grown by half a cell, as far as lethal cells reach; as it is where an end needs that."""
-    grown = padded(footprint, 0.5 * costmap.resolution)
-    field, resolution = costmap.clearance, costmap.resolution
-    free = all(footprint_free(field, resolution, grown, *pose.xyt.tolist()) for pose in ends)
-    return grown if free else footprint
-
-
 def without_repeats(points: Array) -> Array:
     """Drop points that repeat the one before; two are kept at least."""
     keep = np.ones(len(points), dtype=bool)
@@ -279,7 +237,7 @@ class DiscSearch:
         return DiscFloor(self.field, self.resolution, self.radius, inside)
 
     def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, str]:
-        """Corners (n, 2) of a tight path between joined cells, and what found it.
+        """Corners (n, 2) of a tight path between joined cells, and its planner.
 
         A way that OMPL does not find is the way over the cells, which joined cells always have.
         """

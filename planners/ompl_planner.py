@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
@@ -21,40 +21,28 @@ from turtlebag.planners.planner_names import PlannerName
 
 ROADMAPS = ("PRM", "PRMstar")
 GOOD_ENOUGH = 1.02
-"""Ratio to the length of the tightened grid path, or of the straight line between two poses, at which OMPL
-may stop."""
+"""Ratio to the length of the tightened grid path at which OMPL may stop."""
 RANGE_M = 1.5
-"""Longest motion of the tree planners; with OMPL's own, RRTConnect's paths with headings are 1.19 times the
+"""Longest motion of the tree planners; with OMPL's own, RRTConnect's paths with headings were 1.19 times the
 shortest instead of 1.05."""
-
-
-Space = Literal["disc", "se2"]
-REMOVED_SPACES = ("reeds_shepp", "dubins")
-"""For robots that cannot turn on the spot: there are none here."""
 
 
 class OmplConfig(Settings, allow_inf_nan=False):
     """The OMPL planner and its budget."""
 
-    REMOVED: ClassVar[Mapping[str, str]] = {"turning_radius": "robots here turn on the spot"}
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        "space": "paths are for the disc around the footprint, or for the footprint where that does not fit",
+        "turning_radius": "robots here turn on the spot",
+    }
     planner: PlannerName | None = None
-    """None: BITstar for a disc, RRTConnect elsewhere."""
-    space: Space = "disc"
-    """`disc` plans for the disc around the footprint, `se2` for the footprint itself, with heading."""
+    """None: BITstar."""
     iterations: int = Field(default=4000, gt=0, le=1_000_000)
     """Budget in calls of the planner's termination condition: reproducible, unlike seconds."""
-
-    @field_validator("space", mode="before")
-    @classmethod
-    def _still_there(cls, space: Any) -> Any:
-        if space in REMOVED_SPACES:
-            raise ValueError(f"{space} is gone; se2 plans for the footprint with its heading")
-        return space
 
     @property
     def name(self) -> PlannerName:
         """The planner that is used."""
-        return self.planner or ("BITstar" if self.space == "disc" else "RRTConnect")
+        return self.planner or "BITstar"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +80,15 @@ def solve(
     motions = _motion_validator(ob, info, floor)
     info.setMotionValidator(motions)
     info.setup()
-    path = exact_path(info, (_state(space, start), _state(space, goal)), enough, config)
+    path = _exact_path(info, (_state(space, start), _state(space, goal)), enough, config)
     return None if path is None else np.array([[state[0], state[1]] for state in path.getStates()])
 
 
-def exact_path(info: Any, ends: tuple[Any, Any], enough: float, config: OmplConfig) -> Any | None:
+def _exact_path(info: Any, ends: tuple[Any, Any], enough: float, config: OmplConfig) -> Any | None:
     """OMPL's path from one of the states to the other, or None within the budget.
 
-    Its objective is its length, with `enough` as sufficient: a little more than the straight line, because
-    SORRTstar samples an empty set of better states forever once it has found that.
+    Its objective is its length, with `enough` as sufficient: more than the straight line, for with that in
+    hand SORRTstar samples an empty set of better states forever.
     """
     from ompl import base as ob
     from ompl import geometric as og

@@ -1,6 +1,7 @@
 """The documentation does what it says: commands run, our readers read the examples, links lead somewhere."""
 
 import importlib.util
+import inspect
 import os
 import re
 import shlex
@@ -21,6 +22,7 @@ from turtlebag.datasets.yaml_files import load_model
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.cli.main import VERBS, joined
 from turtlebag.pipeline.navigation.teleop_override import load_script
+from turtlebag.pipeline.slam import mapper
 from turtlebag.pipeline.slam.graph.edits import load_edits
 from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
@@ -215,6 +217,12 @@ def test_the_numbers_of_the_readme_are_those_of_the_results():
     results = [row[:4] for row in cells(ROOT / "docs/results.md")]
     assert here
     assert [row for row in here if row not in results] == []
+
+
+def test_the_listing_of_the_mapper_is_its_code():
+    (listing,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs/how-it-maps.md").read_text(), re.M | re.S)
+    steps = (mapper.track_recording, mapper.solve_graph, mapper.draw_map)
+    assert listing == "\n\n".join(map(inspect.getsource, steps)), "copy them to docs/how-it-maps.md"
 
 
 def test_the_pictures_are_small_and_shown_and_the_animations_of_the_readme_move():

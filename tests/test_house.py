@@ -10,6 +10,8 @@ from tests.test_layers import ROOT, SOURCES, imported, nodes
 
 LARGEST_FILE, LARGEST_FUNCTION, LARGEST_ROOM = 400, 60, 1400
 """Lines; a room is a folder of `pipeline/slam`."""
+MOST_SHARED = 30
+"""Constants that one module of the mapper takes from another."""
 SLAM = "pipeline/slam"
 FLOORS = (
     ("progress",),
@@ -84,3 +86,23 @@ def test_the_mapper_imports_downwards(floor):
             beside = module.rpartition("/")[0] == own != SLAM
             if module.startswith(f"{SLAM}/") and not beside:
                 assert floor_of(module) < floor, f"{name_of(path)} imports {module}"
+
+
+def test_constants_stay_in_the_module_that_uses_them():
+    taken = [
+        f"{name_of(path)} takes {alias.name} from {node.module.removeprefix('turtlebag.pipeline.slam.')}"
+        for path in SOURCES
+        if name_of(path).startswith(f"{SLAM}/")
+        for node in nodes(path)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("turtlebag.pipeline.slam.")
+        for alias in node.names
+        if alias.name.isupper()
+    ]
+    print(f"{len(taken)} constants of the mapper are imported from another module of it")
+    assert len(taken) <= MOST_SHARED, "\n".join(taken)
+
+
+def test_the_mapper_reads_no_bags():
+    for path in SOURCES:
+        if name_of(path).startswith(f"{SLAM}/"):
+            assert not [name for name in imported(path) if name.startswith("datasets/bags/")], name_of(path)

@@ -11,7 +11,7 @@ from turtlebag.datasets.bags.decode import RawScan
 from turtlebag.datasets.bags.frames import FrameTree
 from turtlebag.datasets.bags.odometry import OdometrySource, find_odometry, odometry_at, sensor_pose
 from turtlebag.datasets.bags.plausibility import ARM_M, stands_still
-from turtlebag.datasets.bags.scans import assemble, turned_over
+from turtlebag.datasets.bags.scans import assemble
 from turtlebag.datasets.bags.source import Bag
 from turtlebag.datasets.bags.stamps import check_order, running
 from turtlebag.datasets.bags.topics import CLOUD, SCAN, way_out
@@ -118,7 +118,7 @@ def _mounted(
     if up < 0.0:
         what = "the laser is mounted upside down"
         findings.append(Finding("mounting", topic, what, remedy="its scans were flipped"))
-        lidar = turned_over(lidar)
+        lidar = lidar.turned_over()
     return SE2.from_xyt(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), lidar
 
 

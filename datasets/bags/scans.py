@@ -243,8 +243,3 @@ def _normalised(topic: str, ranges: Ranges, lidar: LidarSpec, findings: list[Fin
                 Finding(kind, topic, f"{100.0 * share:.1f} % of the readings {what}", count, remedy=remedy)
             )
     return ranges
-
-
-def turned_over(lidar: LidarSpec) -> LidarSpec:
-    """The beams of a lidar mounted upside down, as seen from above; each keeps its time within the sweep."""
-    return replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)

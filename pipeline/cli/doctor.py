@@ -59,7 +59,7 @@ def _gtsam() -> str:
 
 
 def _open3d() -> str:
-    from turtlebag.pipeline.slam.scans.open3d_loader import open3d
+    from turtlebag.datasets.open3d_loader import open3d
 
     return str(open3d().__version__)
 

@@ -36,7 +36,7 @@ from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track, TrackingCo
 from turtlebag.pipeline.slam.odometry.tracker import Tracker
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import Clouds, make_clouds
-from turtlebag.pipeline.slam.scans.correspondences import ROUGH
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 
 OFF = 0.1, 0.05
 """How far off [m], [rad] a lap of a room of 8 m x 6 m may end up, scans placed one after another."""
@@ -154,7 +154,7 @@ def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
     if not 0.6 < overlap <= 1.0:
         raise broken(matcher, f"match: overlap {overlap:.2f} where all that is seen is the same; 0.6 to 1")
     one = made(matcher, LoopMatch)
-    stays = one.match(clouds, query, place, start, ROUGH._replace(iterations=0)).T_map_base
+    stays = one.match(clouds, query, place, start, Limits.rough()._replace(iterations=0)).T_map_base
     if max(apart(stays, SE2(start))) > 1e-6:
         raise broken(matcher, "match: with no iterations it must return the fit at the start")
     nowhere = _matched(matcher, clouds, query, place, start + np.array([60.0, 0.0, 0.0]))
@@ -173,7 +173,7 @@ def _matched(
     matcher: Callable[[], LoopMatch], clouds: Clouds, query: Stretch, place: Stretch, start: Array
 ) -> tuple[Array, Array, float]:
     one = made(matcher, LoopMatch)
-    found = one.match(clouds, query, place, start, ROUGH)
+    found = one.match(clouds, query, place, start, Limits.rough())
     require_answer(one, "match", found, Alignment, information=(3, 3), overlap=(), known=(), rmse=())
     require_value(one, "match: T_map_base", found.T_map_base.xyt, (3,))
     return found.T_map_base.xyt, found.information, float(found.overlap)

@@ -153,7 +153,7 @@ def match_beams(
     The residual e of a beam is the distance of its end point from the surface, which stands by the `offset`
     of its patch along the normal from where its cells are; the Jacobian j is with respect to the pose (x, y,
     yaw). Columns: the upper triangle of w j j^T (6), w j (3) and w (1); then w j e (3) and w e (1). Residual
-    and weight are those of `linearise`, with sigma `scale` [m]; all beams on one patch together weigh at most
+    and weight are those of `linearise`, with s = `scale` [m]; all beams on one patch together weigh at most
     `patch_beams`.
     """
     points, normals, nearest = surfaces.points, surfaces.normals, surfaces.nearest

@@ -86,8 +86,8 @@ def drive(
     estimate = recorder.own() if localiser is None else trajectory_of(localiser.scan_poses)
     truth, log = recorder.truth(), recorder.log()
     grid = driver.grid if isinstance(driver, ExploreDriver) else None
-    known = None if localiser is None else estimate
-    metrics = measured(mission.request.task, log, sequence, truth, known, simulator, grid)
+    on_map = None if localiser is None else estimate
+    metrics = measured(mission.request.task, log, sequence, truth, on_map, simulator, grid)
     return Episode(metrics, log, truth, estimate, grid, tuple(owner.asked))
 
 

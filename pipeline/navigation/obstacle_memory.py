@@ -109,7 +109,7 @@ class ObstacleMemory:
         if not travelled:
             return False
         tree = scipy.spatial.cKDTree(earlier)
-        still, moved = (misfit(tree, SE2.from_xyt(*xy, yaw) @ points) for xy in ((0.0, 0.0), (x, y)))
+        still, moved = (misfit(tree, SE2.from_xyt(f * x, f * y, yaw) @ points) for f in (0.0, 1.0))
         return min(still, misfit(tree, points)) < STILL_RATIO * moved
 
 

@@ -1,9 +1,10 @@
 """Occupancy grid from posed scans: hits and misses along every beam, also those without return.
 
 The reflectance model of Haehnel (2004), in the line of Moravec and Elfes (1985): a cell is occupied when
-enough of the beams that met it were returned by it. Unlike summed log-odds this keeps a wall that many
-beams graze. Beams without return (+inf) clear in a second pass, up to the first surface. Cells are
-rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed or counted twice.
+enough of the beams that met it were returned by it. Unlike summed log-odds this
+keeps a wall that many beams graze. Beams without return (+inf) clear in a second pass, up to the first
+surface. Cells are rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed or counted
+twice.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, Recording
-from turtlebag.pipeline.slam.scans.clouds import known_motion
 
 MAX_COUNTED = 400_000_000
 """Cells for counting beams; most are cut off when the map is trimmed to its known part."""
@@ -161,7 +162,7 @@ def beam_lengths(
 
 
 def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
-    """Occupied, free or unknown."""
+    """Occupied, free or unknown: equation (6) of docs/how-it-maps.md, and walls thinned."""
     hits, misses = counts
     seen = hits.astype(np.int32) + misses
     cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)

@@ -19,6 +19,7 @@ from turtlebag.pipeline.slam.check.selfcheck import SelfCheck, check_map
 from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.graph.edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
@@ -28,7 +29,7 @@ from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.scans import Scans

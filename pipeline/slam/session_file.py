@@ -19,6 +19,7 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import require_bounded_zip
+from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.datasets.yaml_files import checked
@@ -28,7 +29,6 @@ from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.scans.clouds import KNOTS
 from turtlebag.pipeline.slam.scans.range_noise import range_noise
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration

@@ -12,13 +12,14 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.factors import ALONG_THE_LOG, Constraint, Graph, Kind
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.submaps import windows
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
 from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.scans import joined_keys
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration

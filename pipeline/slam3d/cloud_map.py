@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.open3d_loader import open3d
 from turtlebag.datasets.ply import write_ply
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.scans.open3d_loader import open3d
 
 FRINGE = 2.5
 """A voxel with this many times the points of its neighbour is the surface, the neighbour its fringe."""

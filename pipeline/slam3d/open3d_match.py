@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from turtlebag.datasets.open3d_loader import open3d
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.scans.open3d_loader import open3d
 
 THINNED, NEAR = 0.5, 2.0
 """In voxels of the surfels: what clouds are thinned to, and the reach of normals and matches; features

@@ -10,9 +10,7 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, in_rounds
-from turtlebag.pipeline.slam.scans.align import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
 from turtlebag.pipeline.slam3d.surfels import (
     COVARIANCE_SCALE,
@@ -24,6 +22,8 @@ from turtlebag.pipeline.slam3d.surfels import (
 
 RADIUS_VOXELS = 12.0
 """Key clouds farther apart see too little of the same to be partners."""
+FINE_KERNELS = 3.0
+"""The gate of the last round, in kernels."""
 POINTS = 1500
 """Points of a cloud that are aligned."""
 CARRIED_GATE_M, CARRIED = 0.1, np.full(12, 0.01)
@@ -42,7 +42,7 @@ def refine(
     def matched(poses: Array, f: float) -> list[Constraint]:
         gate = rough * (fine / rough) ** f
         places, found = Places(keys, poses, voxel), []
-        near = overlapping_pairs(se3.planar(poses), RADIUS_VOXELS * voxel, NEIGHBOURS)
+        near = overlapping_pairs(se3.planar(poses), RADIUS_VOXELS * voxel)
         along = np.arange(max(len(poses) - REACH - 1, 0))[:, None] + [0, REACH + 1]
         apart = np.unique(np.vstack([near[near[:, 1] - near[:, 0] > REACH], along]), axis=0)
         # either is the place of the other; in order, so that each place is made once
@@ -51,10 +51,10 @@ def refine(
             result = places.fit(i, keys.points(j, POINTS), guess, gate)
             if result.overlap >= LEAST_OVERLAP:
                 information = observable(result.information) / COVARIANCE_SCALE
-                found.append(Constraint(i, j, result.T, information, Kind.PAIR, CAUCHY))
+                found.append(Constraint(i, j, result.T, information, Kind.PAIR, Constraint.CAUCHY))
         return found
 
-    rough = max(GATE_VOXELS * voxel, fine := SIGMAS * KERNEL_M)
+    rough = max(GATE_VOXELS * voxel, fine := FINE_KERNELS * KERNEL_M)
     return in_rounds(T_map_keys, steps, config.rounds, matched)
 
 

@@ -16,12 +16,11 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig
 from turtlebag.pipeline.slam.mapper import Sensors
 from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE
-from turtlebag.pipeline.slam.odometry.track import carried_poses
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.scans.align import CAUCHY
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
 from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Places
@@ -160,7 +159,7 @@ def _odometry(k: int, T: Array) -> Constraint:
     way, turn = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3])
     along, yaw = 0.01 + ODOMETRY_SHARE * way, 0.01 + ODOMETRY_SHARE * turn
     sigmas = np.array([FLAT, FLAT, yaw, along, along, FLAT])
-    return Constraint(k, k + 1, T, np.diag(sigmas**-2), Kind.WHEELS, cauchy=CAUCHY)
+    return Constraint(k, k + 1, T, np.diag(sigmas**-2), Kind.WHEELS, cauchy=Constraint.CAUCHY)
 
 
 def _drawn(

@@ -12,9 +12,9 @@ import numpy as np
 from turtlebag.datasets import se3
 from turtlebag.datasets.deskew import deskewed_points
 from turtlebag.datasets.durations import nanoseconds
+from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
-from turtlebag.pipeline.slam.scans.clouds import KNOTS
 
 MIN_RANGE_M, MAX_RANGE_M = 0.3, 100.0
 """Nearer points may be the robot itself, farther ones are not used."""

@@ -34,13 +34,12 @@ class PlanStageConfig(Settings, allow_inf_nan=False):
 
 
 class PlanMetrics(TypedDict, total=False):
-    """What is known of a plan: `space` of one of OMPL's, `reason` without a path, and of a path its length,
-    the least clearance of the footprint, the margin it was planned with [m] and how many poses it has.
-    `planners` are those that were compared."""
+    """A plan in numbers: `reason` without a path, and of a path its length, the least clearance of the
+    footprint, the margin it was planned with [m] and how many poses it has. `planners` are those that were
+    compared."""
 
     success: Required[bool]
     planner: Required[str]
-    space: str
     reason: str
     length_m: float
     min_clearance_m: float
@@ -75,20 +74,20 @@ def plan(
     config = config or PlanStageConfig()
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
     query.require_free(costmap, map_path, "--")
-    found, reason, planning_s = search(costmap, query, config)
-    metrics = plan_metrics(costmap, query.robot, found, reason, config)
+    route, reason, planning_s = search(costmap, query, config)
+    metrics = plan_metrics(costmap, query.robot, route, reason, config)
     others: dict[str, tuple[Plan | None, str, float]] = {}
     if compare:
         metrics["planners"] = []
         for other in planners_to_compare(config):
             name = other.plan.name
-            known = (found, reason, planning_s) if name == config.plan.name else None
-            others[name] = path, why, took_s = known or search(costmap, query, other)
+            own = (route, reason, planning_s) if name == config.plan.name else None
+            others[name] = path, why, took_s = own or search(costmap, query, other)
             metrics["planners"].append(plan_metrics(costmap, query.robot, path, why, other))
             log.info("%s", _line(metrics["planners"][-1], took_s))
     parts = {"plan.planner": config.plan.planner}
     with out.staged() as folder:
-        _write_path(folder / "path.csv", found)
+        _write_path(folder / "path.csv", route)
         for name, (path, *_) in others.items():
             _write_path(folder / f"path-{name}.csv", path)
         out.finish(
@@ -106,10 +105,10 @@ def plan(
                 **({"planners_s": {n: round(s, 6) for n, (*_, s) in others.items()}} if compare else {}),
             },
         )
-    if found is None:
+    if route is None:
         log.info(f"no path: {reason}")
         return 1
-    log.info(f"path of {found.length:.2f} m found in {planning_s * 1e3:.0f} ms -> {out.folder}")
+    log.info(f"path of {route.length:.2f} m found in {planning_s * 1e3:.0f} ms -> {out.folder}")
     return 0
 
 
@@ -147,38 +146,36 @@ def search(costmap: Costmap, query: Query, config: PlanStageConfig) -> tuple[Pla
     watch = Stopwatch()
     plan_seed = int(stream(query.seed, "plan").integers(2**31))
     try:
-        found = plan_path(
+        route = plan_path(
             costmap, query.robot.model, query.T_map_start, query.T_map_goal, config.plan, plan_seed
         )
     except NoPath as error:
         return None, str(error), watch.seconds()
-    return found, "", watch.seconds()
+    return route, "", watch.seconds()
 
 
 def plan_metrics(
-    costmap: Costmap, spec: RobotSpec, found: Plan | None, reason: str, config: PlanStageConfig
+    costmap: Costmap, spec: RobotSpec, route: Plan | None, reason: str, config: PlanStageConfig
 ) -> PlanMetrics:
-    """Length, clearance of the footprint along the path, and what found it."""
-    metrics: PlanMetrics = {"success": found is not None, "planner": config.plan.name}
-    if not is_own(config.plan.planner):
-        metrics["space"] = config.plan.ompl.space
-    if found is None:
+    """Length, clearance of the footprint along the path, and its planner."""
+    metrics: PlanMetrics = {"success": route is not None, "planner": config.plan.name}
+    if route is None:
         return {**metrics, "reason": reason}
-    poses = np.ascontiguousarray((costmap.T_grid_map @ found.poses).xyt)
+    poses = np.ascontiguousarray((costmap.T_grid_map @ route.poses).xyt)
     samples = sample_footprint(spec.model, costmap.resolution / 2.0)
     clearance = path_clearance(
         costmap.clearance, costmap.resolution, samples, poses, float(poses[0, 0]), float(poses[0, 1]), np.inf
     )
     return {
         **metrics,
-        "length_m": found.length,
+        "length_m": route.length,
         "min_clearance_m": float(clearance),
-        "margin_m": found.margin,
-        "poses": len(found.poses),
+        "margin_m": route.margin,
+        "poses": len(route.poses),
     }
 
 
-def _write_path(path: Path, found: Plan | None) -> None:
-    rows = [] if found is None else found.poses.xyt.tolist()
+def _write_path(path: Path, route: Plan | None) -> None:
+    rows = [] if route is None else route.poses.xyt.tolist()
     lines = [f"{x:.6f},{y:.6f},{yaw:.6f}\n" for x, y, yaw in rows]
     path.write_text("x,y,yaw\n" + "".join(lines))

@@ -94,8 +94,11 @@ STANDARD = {
 """Run properties of the names that page gives; all others are shown under their own names."""
 
 
+ROBOTS = ("burger", "waffle_pi")
+
+
 def small_database(folder):
-    """Two spaces, two planners, two runs each, one of them without a solution."""
+    """Two robots, two planners, two runs each, one of them without a solution."""
 
     def run(solved: int, ms: float) -> dict[str, float]:
         return {
@@ -108,18 +111,17 @@ def small_database(folder):
         }
 
     runs = {"RRT": [run(1, 10.0), run(0, 20.0)], "PRM": [run(1, 5.0), run(1, 7.0)]}
-    for space in ("disc", "se2"):
-        setup = "map arena, robot burger"
-        write_log(folder / f"{space}.log", "arena", space, setup, runs)
-    write_database(folder / "plan.db", [folder / "disc.log", folder / "se2.log"])
+    for robot in ROBOTS:
+        write_log(folder / f"{robot}.log", "arena", robot, "map arena", runs)
+    write_database(folder / "plan.db", [folder / f"{robot}.log" for robot in ROBOTS])
     return folder / "plan.db"
 
 
 def test_the_database_holds_what_was_measured(tmp_path):
     with sqlite3.connect(small_database(tmp_path)) as db:
-        experiments = db.execute("SELECT name, space, runcount, version, setup FROM experiments").fetchall()
+        experiments = db.execute("SELECT name, robot, runcount, version, setup FROM experiments").fetchall()
         assert experiments == [
-            ("arena", s, 2, f"OMPL {version('ompl')}", "map arena, robot burger\n") for s in ("disc", "se2")
+            ("arena", robot, 2, f"OMPL {version('ompl')}", "map arena\n") for robot in ROBOTS
         ]
         rows = db.execute(
             "SELECT c.name, solved, status, time, solution_length, length_over_shortest FROM runs "
@@ -144,7 +146,7 @@ def test_the_database_has_the_tables_and_columns_that_planner_arena_reads(tmp_pa
         for table, names in SCHEMA.items():
             assert columns[table][: len(names.split())] == names.split()
         # Whatever follows an experiment's own columns is a parameter of it, and a run's is an attribute.
-        assert columns["experiments"][12:] == ["space"]
+        assert columns["experiments"][12:] == ["robot"]
         assert set(columns["runs"][3:]) >= STANDARD
         keys = {(row[3], row[2]) for row in db.execute("PRAGMA foreign_key_list(runs)")}
         assert keys == {("experimentid", "experiments"), ("plannerid", "plannerConfigs")}
@@ -155,7 +157,7 @@ def test_planner_arena_s_questions_have_answers(tmp_path):
     with sqlite3.connect(small_database(tmp_path)) as db:
         join = (
             "FROM runs JOIN plannerConfigs p ON p.id = runs.plannerid "
-            "JOIN experiments e ON e.id = runs.experimentid WHERE e.name = 'arena' AND e.space = 'disc'"
+            "JOIN experiments e ON e.id = runs.experimentid WHERE e.name = 'arena' AND e.robot = 'burger'"
         )
         name = "REPLACE(p.name, 'geometric_', '')"
         assert db.execute(f"SELECT {name}, AVG(time) {join} GROUP BY p.id ORDER BY p.id").fetchall() == [

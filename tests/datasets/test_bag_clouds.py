@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from tests.helpers.bag_samples import LINKS, observation, pose, stamp, write_drive
+from tests.helpers.bag_samples import LINKS, observation, pose, stamp
 from tests.helpers.foreign_bags import CLOUD, FIELD, TYPES, header, write_foreign
 from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.point_clouds import load_clouds
 from turtlebag.datasets.bags.writer import BagWriter
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Cloud
 
 
@@ -71,15 +70,3 @@ def test_layouts_of_other_drivers(tmp_path, time_field, kind, values, order):
     np.testing.assert_array_equal(next(iter(recording.clouds)).points, [[1, 4, 7], [2, 5, 8], [3, 6, 9]])
     np.testing.assert_allclose(next(iter(recording.clouds)).times, [0.0, 0.05, 0.1], atol=1e-6)
     assert recording.T_odom_base is None
-
-
-def test_no_cloud_is_one_clear_line(tmp_path):
-    write_drive(tmp_path / "bag", seconds=2)
-    with pytest.raises(InputError, match=r"no point cloud topic .*it has: none"):
-        load_clouds(tmp_path / "bag")
-    with pytest.raises(InputError, match="no /points"):
-        load_clouds(tmp_path / "bag", "/points")
-    empty = TYPES[CLOUD](header(0, "a"), 1, 0, [], False, 0, 0, np.zeros(0, dtype=np.uint8), True)
-    write_foreign(tmp_path / "foreign", [("/points", CLOUD, 0, empty)])
-    with pytest.raises(InputError, match="no point cloud could be decoded"):
-        load_clouds(tmp_path / "foreign")

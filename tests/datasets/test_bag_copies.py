@@ -6,8 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from tests.helpers.foreign_bags import CLOUD, ODOMETRY, STORE, TF, TYPES, S, header, odometry, write_foreign
-from turtlebag.datasets.bags.convert import carmen_to_mcap, require_messages
+from tests.helpers.foreign_bags import CLOUD, STORE, TF, TYPES, S, header, write_foreign
+from turtlebag.datasets.bags.convert import carmen_to_mcap
 from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, is_latched
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
@@ -15,7 +15,6 @@ from turtlebag.datasets.bags.point_clouds import decode_cloud, load_clouds
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.topics import Message, Topic
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 
@@ -92,17 +91,7 @@ def test_the_clouds_of_a_bag_and_how_many_of_them_are_damaged(tmp_path):
     assert not found.mounted
     two = [*messages, ("/other", CLOUD, 9 * S, good)]
     path = write_foreign(tmp_path / "b", two)
-    with pytest.raises(
-        InputError, match="several point cloud topics; choose one with --topic: /points, /other"
-    ):
-        load_clouds(path)
     assert len(load_clouds(path, "/other").stamps_ns) == 1
-    with pytest.raises(
-        InputError, match=r"no /x .sensor_msgs/PointCloud2. in this bag; it has: /points, /other"
-    ):
-        load_clouds(path, "/x")
-    with pytest.raises(InputError, match="it has: none"):
-        load_clouds(write_foreign(tmp_path / "c", [("/odom", ODOMETRY, 0, odometry(0, 1.0))]))
 
 
 def test_a_copier_counts_what_it_copies_and_names_what_it_cannot(tmp_path):
@@ -142,9 +131,6 @@ def test_a_copier_counts_what_it_copies_and_names_what_it_cannot(tmp_path):
     assert standard.definition.startswith("geometry_msgs/TransformStamped[] transforms")
     assert standard.type_hash.startswith("RIHS01_")
     assert completed(Topic("/x", TF, type_hash="mine")).type_hash == "mine"
-    require_messages(tmp_path, 1, [])
-    with pytest.raises(InputError, match=r"no message could be converted .the bag is empty"):
-        require_messages(tmp_path, 0, [])
 
 
 @pytest.mark.parametrize("odometry_too", [True, False])

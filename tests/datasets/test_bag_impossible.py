@@ -160,12 +160,6 @@ def test_a_laser_beyond_the_earth_is_left_out_and_said_so(tmp_path):
     assert any("--laser X,Y,YAW" in note for note in log.notes)
 
 
-def test_scans_of_one_instant_are_refused(tmp_path):
-    messages = [(topic, kind, 0, message) for topic, kind, _, message in (scan(k, 0) for k in range(5))]
-    with pytest.raises(InputError, match="without times no map can be made"):
-        load_recording(write_foreign(tmp_path / "bag", messages))
-
-
 def test_long_ranges_and_fast_cars_are_no_millimetres():
     rng = np.random.default_rng(0)
     far = rng.uniform(20.0, 240.0, 2000).astype(np.float32)

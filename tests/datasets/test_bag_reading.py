@@ -32,7 +32,6 @@ from turtlebag.datasets.bags.reader import (
     read_poses,
 )
 from turtlebag.datasets.bags.source import open_bag
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 
@@ -72,10 +71,6 @@ def test_single_streams_are_read_and_missing_ones_named(tmp_path):
     ((stamp, found),) = read_particles(path)
     assert stamp == 9 * S
     np.testing.assert_allclose(found.xyt, cloud.xyt)
-    with pytest.raises(InputError, match=r"/cmd_vel holds no poses .its type is geometry_msgs/msg/Twist"):
-        read_poses(path, "/cmd_vel")
-    with pytest.raises(InputError, match="no /x in this bag; its topics: /cmd_vel, /odom, /particlecloud"):
-        read_poses(path, "/x")
 
 
 def test_of_several_lasers_the_most_frequent_is_used(tmp_path):
@@ -123,13 +118,8 @@ def test_a_recording_has_its_scans_odometry_and_laser_or_a_line_that_says_why_no
     np.testing.assert_allclose(found.T_base_lidar.xyt, [0.3, 0.0, 0.0])
     assert found.ranges[3].tolist() == [np.inf] * 5
     bag = write_foreign(tmp_path / "b", drive("/left", "/right"))
-    with pytest.raises(InputError, match="no /scan, and several LaserScan topics"):
-        read_for_mapping(open_bag(bag))
     told = read_for_mapping(open_bag(bag), topic="/left", T_base_lidar=SE2.from_xyt(9.0, 0.0, 0.0))
     assert float(told.T_base_lidar.x) == 9.0
-    for topic, says in (("/x", "not in this bag"), ("/odom", "of type nav_msgs/msg/Odometry")):
-        with pytest.raises(InputError, match=f"--topic {topic} is {says}"):
-            read_for_mapping(open_bag(bag), topic=topic)
     assert len(read_for_mapping(open_bag(write_foreign(tmp_path / "c", drive("/front/scan", "/x"))))) == 8
     over = (*LASER[:3], (1, 0, 0, 0))
     turned = read_for_mapping(open_bag(write_foreign(tmp_path / "d", drive("/scan", static=over))))
@@ -137,6 +127,3 @@ def test_a_recording_has_its_scans_odometry_and_laser_or_a_line_that_says_why_no
     assert turned.stamps_ns.tolist() == [k * S for k in range(8)]
     assert turned.lidar.time_increment == 2.0**-6
     np.testing.assert_allclose(turned.lidar.angles, -found.lidar.angles)
-    with pytest.raises(InputError, match=r"no /scan .* its topics: /odom, /tf_static") as error:
-        read_for_mapping(open_bag(write_foreign(tmp_path / "e", drive())))
-    assert error.value.clouds == []

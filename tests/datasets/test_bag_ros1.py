@@ -8,12 +8,8 @@ from rosbags.rosbag1 import Reader, Writer
 from tests.helpers.bag_samples import write_drive
 from tests.helpers.ros1_bags import to_ros1_bag
 from turtlebag.datasets.bags.doctor import examine
-from turtlebag.datasets.bags.mcap_sequential import McapReader
-from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.recover import recover
-from turtlebag.datasets.bags.ros1_sequential import Ros1Reader
 from turtlebag.datasets.bags.source import open_bag
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
 
 
@@ -121,33 +117,3 @@ def test_the_span_of_a_recovered_bag_is_that_of_the_messages_in_it(tmp_path):
     saved = recover(path, tmp_path / "saved")
     assert (saved.messages, saved.start_ns, saved.end_ns) == (2, 5 * 10**9, 6 * 10**9)
     assert "/other: 1 damaged messages left out" in saved.notes
-
-
-@pytest.mark.parametrize(
-    ("first_line", "says"),
-    [
-        ("#ROSRECORD V1.2", r"a ROS 1 bag of version 1\.2, .*`rosbag reindex` converts it"),
-        ("#ROSRECORD V1.1", r"a ROS 1 bag of version 1\.1, .*only a ROS release of its time"),
-        ("#ROSLOG V1.0", r"a ROS 1 bag of version 1\.0, .*only a ROS release of its time"),
-        ("#ROSBAG V1.2", "damaged bag, its first bytes"),
-    ],
-)
-@pytest.mark.parametrize("read", [load_recording, bag_info, examine])
-def test_an_old_version_is_named_with_what_converts_it(tmp_path, read, first_line, says):
-    path = tmp_path / "old.bag"
-    path.write_bytes(first_line.encode() + b"\n" + bytes(100))
-    with pytest.raises(InputError, match=r"old\.bag: " + says):
-        read(path)
-
-
-def test_an_old_version_in_a_folder_is_named_too(tmp_path):
-    (tmp_path / "old.bag").write_bytes(b"#ROSRECORD V1.2\n" + bytes(100))
-    with pytest.raises(InputError, match=r"old\.bag: a ROS 1 bag of version 1\.2"):
-        load_recording(tmp_path)
-
-
-@pytest.mark.parametrize("scan", [Ros1Reader, McapReader])
-def test_an_empty_file_is_said_to_be_empty(tmp_path, scan):
-    (tmp_path / "none").touch()
-    with pytest.raises(InputError, match=r"none: the file is empty"):
-        scan(tmp_path / "none")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.bags.decode import RawScan
-from turtlebag.datasets.bags.scans import assemble, turned_over
+from turtlebag.datasets.bags.scans import assemble
 from turtlebag.datasets.types import LidarSpec
 
 
@@ -171,6 +171,6 @@ def test_millimetres_are_made_metres_and_so_are_the_limits_if_they_were(far, mad
 
 def test_a_lidar_upside_down_is_seen_from_below():
     lidar = LidarSpec(4, -1.0, 0.5, 0.1, 8.0, 0.02, 0.2)
-    upright = turned_over(lidar)
+    upright = lidar.turned_over()
     assert upright == LidarSpec(4, 1.0, -0.5, 0.1, 8.0, 0.02, 0.2)
     np.testing.assert_allclose(upright.angles, -lidar.angles)

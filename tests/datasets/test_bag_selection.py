@@ -157,12 +157,6 @@ def test_a_bad_value_is_one_line_and_nothing_is_written(bag, tmp_path, capsys, o
     assert not any(tmp_path.iterdir())
 
 
-def test_a_frame_to_drop_from_a_bag_without_transforms_is_refused(bag, tmp_path):
-    to_mcap(bag, tmp_path / "scans", Selection(exclude=("/tf", "/tf_static")))
-    with pytest.raises(InputError, match=r"--exclude-frame camera: no such child frame; .*scans has none$"):
-        to_mcap(tmp_path / "scans", tmp_path / "copy", Selection(exclude_frames=("camera",)))
-
-
 def test_the_command_cuts_and_drops(bag, tmp_path):
     options = ["--from", "2", "--to", "6", "--exclude-frame", "/camera", "--exclude-frame", "odom"]
     assert main(["bag", "convert", str(bag), *options, "--out", str(tmp_path / "part")]) == 0

@@ -132,11 +132,6 @@ def test_same_data_same_bytes_wherever_it_is_written(bag, tmp_path):
         assert hashlib.sha256(a).digest() == hashlib.sha256(b).digest()
 
 
-def test_an_existing_bag_is_not_overwritten(bag):
-    with pytest.raises(InputError, match="already"):
-        BagWriter(bag, custom={})
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_whatever_ends_a_recording_closes_the_bag(tmp_path, error):
     with pytest.raises(error), BagWriter(tmp_path / "bag", custom={}) as writer:  # noqa: PT012

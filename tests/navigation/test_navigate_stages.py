@@ -204,8 +204,6 @@ def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map
         "plan.stretch=0.5",
         "plan.stretch=nan",
         "plan.ompl.iterations=0",
-        "plan.ompl.space=torus",
-        "plan.ompl.space=dubins",
         "plan.ompl.planner=Dijkstra",
         "plan.nothing=1",
         "costmap.inflation=1",

@@ -160,12 +160,11 @@ def test_room_that_is_asked_for_is_kept_in_a_narrow_gap_too():
     assert free_from(Ground(costmap.clearance, RES, padded(WAFFLE.footprint, 0.04)), plan.poses.xyt) == 0
 
 
-@pytest.mark.parametrize("space", ["disc", "se2"])
-def test_a_gap_that_the_disc_round_the_robot_does_not_pass_is_driven_straight(space):
+def test_a_gap_that_the_disc_round_the_robot_does_not_pass_is_driven_straight():
     costmap = partitions(np.random.default_rng(2), (8, 9))
     start, goal = SE2.from_xyt(0.6, 0.75, 1.0), SE2.from_xyt(2.5, 0.75, -1.0)
     assert not disc_joined(costmap, WAFFLE.circumscribed_radius, (15, 12), (15, 50))
-    config = PlanConfig(ompl=OmplConfig(space=space, iterations=1))
+    config = PlanConfig(ompl=OmplConfig(iterations=1))
     plan = plan_path(costmap, WAFFLE, start, goal, config, seed=1)
     assert plan.planner == "footprint lattice"
     np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-9)

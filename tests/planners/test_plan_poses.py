@@ -13,11 +13,7 @@ from turtlebag.planners import lattice
 from turtlebag.planners.control.controller import ramped
 from turtlebag.planners.control.dwa import Dwa, DwaConfig, best_arc, numbers
 from turtlebag.planners.costmap import Costmap, distance_field
-from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.grid_distance import grid_distance
-from turtlebag.planners.ompl_planner import OmplConfig
-from turtlebag.planners.pose_planner import solve_poses
-from turtlebag.planners.smoothing import path_length
 
 RES = 0.05
 
@@ -159,16 +155,3 @@ def test_dwa_takes_the_best_of_the_speeds_its_window_opens_and_zero_among_them()
     near.command(pose, Twist(), costmap)
     assert near.state == "follow"
     assert dwa().command(SE2.identity(), Twist(0.2, 0.0), costmap) == Twist(0.2 - 0.1 * BURGER.max_dv, 0.0)
-
-
-def test_poses_are_planned_up_to_every_border_of_a_small_map():
-    costmap = Costmap(np.zeros((20, 24), dtype=bool), RES, SE2.identity())
-    for ends in (((0.25, 0.25, 0.0), (0.9, 0.7, 0.0)), ((0.25, 0.75, 0.0), (0.95, 0.25, 0.0))):
-        start, goal = (SE2.from_xyt(*end) for end in ends)
-        config = OmplConfig(space="se2", iterations=4000)
-        poses = solve_poses(costmap, BURGER.footprint, start, goal, config, 3)
-        np.testing.assert_allclose(poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-6)
-        assert all(footprint_free(costmap.clearance, RES, BURGER.footprint, *pose) for pose in poses.xyt)
-        assert path_length(poses.xy) < 2.0
-        steps = np.linalg.norm(np.diff(poses.xy, axis=0), axis=1)
-        assert steps.max() < 0.1

@@ -8,13 +8,11 @@ import pytest
 from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.global_plan import (
     DiscSearch,
     PlanConfig,
     blocked_until,
-    cell_padded,
     plan_path,
     without_repeats,
 )
@@ -140,12 +138,6 @@ def test_a_path_is_blocked_until_its_last_touch():
     assert blocked_until(costmap, BURGER.footprint, line[:10]) is None
     first = free_from(Ground(costmap.clearance, RES, BURGER.footprint), line.xyt)
     assert length == pytest.approx(path_length(line.xy[: first + 1]))
-    beside = SE2.from_xyt(1.025, 1.0, 0.0)
-    grown = cell_padded(costmap, BURGER.footprint, (beside, beside))
-    assert np.ptp(grown, axis=0) == pytest.approx(np.ptp(BURGER.footprint, axis=0) + RES)
-    tight = SE2.from_xyt(1.525 - 0.041 - 0.01, 1.025, 0.0)
-    assert footprint_free(costmap.clearance, RES, BURGER.footprint, *tight.xyt.tolist())
-    assert cell_padded(costmap, BURGER.footprint, (beside, tight)) is BURGER.footprint
 
 
 def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_fit():

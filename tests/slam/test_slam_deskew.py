@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 
 from tests.helpers.exact_rays import ranges_to, rectangle
 from turtlebag.datasets.grid import OCCUPIED
+from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
-from turtlebag.pipeline.slam.scans.clouds import make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 
 ROOM = rectangle(0.025, 0.025, 5.025, 4.025)  # in the middle of cells
 LIDAR = LidarSpec(120, 0.0, np.deg2rad(3.0), 0.1, 8.0, time_increment=0.2 / 120)

@@ -14,10 +14,10 @@ from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.check.selfcheck import contradicted_keys, hypothesis_shares, revisits_of
 from turtlebag.pipeline.slam.explain import candidate
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
-from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, optimise, write_g2o
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses, mahalanobis, optimise, write_g2o
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
-from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track, carried_poses
+from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs, partner_radius
 from turtlebag.pipeline.slam.scans.scans import joined_clouds

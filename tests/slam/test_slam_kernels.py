@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.helpers.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.se2 import SE2, between
 from turtlebag.pipeline.slam.loops.consistency import grow_set
+from turtlebag.pipeline.slam.loops.free_space import violation_shares
 from turtlebag.pipeline.slam.odometry.calibration import GROSS
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise
 from turtlebag.pipeline.slam.odometry.trust import CONTRADICTION_SIGMAS, RECENT, SEVERAL, OdometryTrust
@@ -29,10 +30,8 @@ from turtlebag.pipeline.slam.scans.align import (
     wrap_angle,
 )
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
-from turtlebag.pipeline.slam.scans.correspondences import MIN_NORMAL_DOT, Limits, find_partner
-from turtlebag.pipeline.slam.scans.free_space import violation_shares
+from turtlebag.pipeline.slam.scans.correspondences import MIN_NORMAL_DOT, SIGMAS, Limits, find_partner
 from turtlebag.pipeline.slam.scans.pairs import linearise_pairs
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 
 POSES = np.array([[1.2, 1.0, 0.0], [1.8, 1.5, 1.0], [1.4, 2.0, -1.0], [5.0, 4.6, 3.0], [1.5, 1.2, 0.3]])
 

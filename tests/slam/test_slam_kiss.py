@@ -50,7 +50,7 @@ def test_with_no_map_or_no_points_the_guess_is_the_answer():
 def test_where_the_answer_does_not_fit_the_pose_by_the_odometry_stands():
     tracker = SimpleNamespace(
         scan=1, pose=np.array([1.0, 2.0, 0.3]), velocity=np.array([0.5, 0.0, 0.1]), max_range=8.0,
-        fit=lambda points, pose: 0.1, last_keys=lambda count: ([0], [np.zeros(3)]),
+        fit=lambda points, pose: 0.1, field_keys=lambda: ([0], [np.zeros(3)]),
         clouds=SimpleNamespace(of=lambda key: POSTS),
     )  # fmt: skip
     driven = np.array([0.2, 0.0, -0.1])

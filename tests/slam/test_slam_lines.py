@@ -8,19 +8,17 @@ from scipy.special import chdtri, ndtr
 
 from tests.helpers.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.deskew import deskewed
+from turtlebag.datasets.motion import KNOTS, sweep_motion, sweep_motion_by_track
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.scans import clouds as module
 from turtlebag.pipeline.slam.scans.clouds import (
-    KNOTS,
     Clouds,
     bearing_tables,
     chi_squared_limit,
     fit_lines,
     make_clouds,
     point_information,
-    sweep_motion,
-    sweep_motion_by_track,
 )
 from turtlebag.pipeline.slam.scans.range_noise import LEAST_M, RangeNoise
 

@@ -13,9 +13,11 @@ from turtlebag.pipeline.slam.odometry.track import blind
 from turtlebag.pipeline.slam.scans.align import (
     FAKED,
     STEP_COVARIANCE_SCALE,
+    Alignment,
     Prior,
     align,
     observable,
+    possible,
 )
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.correlative import (
@@ -269,3 +271,18 @@ def test_what_lies_beyond_the_field_s_edges_is_not_found_at_the_opposite_edge():
     assert pose[1] < 0.0
     _, score = best_pose(field, points + np.array([0.0, 0.3]), np.zeros(3), 0.3, 0.0, 0.05)
     assert score == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("overlap", "known", "says"),
+    [
+        (0.29, 1.0, (False, False)),
+        (0.3, 1.0, (True, False)),
+        (0.46, 0.5, (True, True)),
+        (0.0, 0.0, (False, False)),
+    ],
+)
+def test_an_alignment_says_whether_it_is_possible_and_certain(overlap, known, says):
+    alignment = Alignment(SE2(HERE), np.eye(3), overlap, 0.01, 0.2, known)
+    assert (alignment.possible, alignment.certain) == says
+    assert possible(np.array([overlap, 1.0])).tolist() == [says[0], True]

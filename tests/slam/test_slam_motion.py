@@ -9,18 +9,19 @@ from tests.helpers.exact_rays import ranges_to, rectangle
 from tests.helpers.made_drives import Sensor, Wheels, make_log, sick
 from tests.helpers.made_logs import office_plan, office_route
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, recording
-from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.grid import OCCUPIED
+from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.localisation.deskewed_beams import prepare
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid
 from turtlebag.pipeline.slam.odometry.calibration import calibrate
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
-from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig, carried_poses
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
 from turtlebag.pipeline.slam.scans.align import Prior, align
-from turtlebag.pipeline.slam.scans.clouds import make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.stages.localise import sweep_ends
@@ -31,8 +32,8 @@ BACKWARDS = replace(TURNING, time_increment=-SWEEP_S / 360)
 SWEEPS = {
     "forwards": TURNING,
     "backwards": BACKWARDS,
-    "upside down": turned_over(TURNING),
-    "upside down and backwards": turned_over(BACKWARDS),
+    "upside down": TURNING.turned_over(),
+    "upside down and backwards": BACKWARDS.turned_over(),
 }
 FOUR_WALLS = rectangle(0.0, 0.0, 8.0, 6.0)
 T_BASE_LIDAR = SE2.from_xyt(0.1, 0.05, 0.4)

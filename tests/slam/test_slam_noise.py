@@ -8,12 +8,13 @@ import pytest
 
 from tests.helpers.exact_rays import ranges_to
 from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording
+from turtlebag.datasets.motion import KNOTS, sweep_motion
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import Tracker
-from turtlebag.pipeline.slam.scans.clouds import KNOTS, make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 
 POSES = around_the_room(120)

@@ -13,7 +13,7 @@ from tests.helpers.made_drives import Drive, FloorPlan, Sensor, Wheels, make_log
 from tests.helpers.made_logs import WHEELS, interval, office_plan, without
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between
-from turtlebag.pipeline.slam.graph.drift import HONEST, drift_of
+from turtlebag.pipeline.slam.graph.drift import HONEST, SIGMAS, drift_of
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.loops.by_appearance import (
     PlaceRecognitionConfig,
@@ -40,7 +40,6 @@ from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 
 
 @cache

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.slam_scores import errors
 from tests.helpers.made_logs import arena, posts
+from turtlebag.datasets.motion import sweep_motion, sweep_motion_by_track
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.threads import WORTH_IT, in_parts
 from turtlebag.datasets.types import Trajectory
@@ -19,12 +20,7 @@ from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
-from turtlebag.pipeline.slam.scans.clouds import (
-    make_clouds,
-    point_information,
-    sweep_motion,
-    sweep_motion_by_track,
-)
+from turtlebag.pipeline.slam.scans.clouds import make_clouds, point_information
 from turtlebag.pipeline.slam.scans.open3d_icp import POINT_SIGMA_M, match_points
 
 

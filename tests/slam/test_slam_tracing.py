@@ -8,6 +8,7 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
+from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.grid import (
@@ -23,7 +24,7 @@ from turtlebag.pipeline.slam.grid import (
     trace,
     trimmed,
 )
-from turtlebag.pipeline.slam.scans.clouds import KNOTS, make_clouds
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.correlative import UNSEEN, Field, best_pose, make_field
 
 

@@ -9,7 +9,8 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, breaks_of, joined_parts
+from turtlebag.pipeline.slam.loops.by_appearance import joined_parts
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, breaks_of
 from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig

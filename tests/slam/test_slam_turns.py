@@ -9,7 +9,6 @@ import pytest
 from benchmarks.known_logs import integrate
 from tests.helpers.made_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
 from tests.helpers.made_logs import arena, office_plan
-from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
@@ -150,7 +149,7 @@ def test_the_odometry_of_another_drive_is_known_by_its_turns():
 @pytest.mark.parametrize("seconds", [0.0, 0.4])
 def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, request):
     recording = request.getfixturevalue(log).recording
-    wrong = late(replace(recording, lidar=turned_over(recording.lidar)), seconds)
+    wrong = late(replace(recording, lidar=recording.lidar.turned_over()), seconds)
     timing = compared_turns(wrong)
     assert timing == (pytest.approx(seconds, abs=0.06), True, None, True)
     fixed = in_step(wrong, timing)
@@ -167,7 +166,7 @@ def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(turning
     recording = late(turning_long.recording, seconds)
     true = recording.lidar.time_increment
     lidar = replace(recording.lidar, time_increment=-true if said == "reversed" else 0.0)
-    wrong = replace(recording, lidar=turned_over(lidar) if over else lidar)
+    wrong = replace(recording, lidar=lidar.turned_over() if over else lidar)
     timing = compared_turns(wrong)
     assert timing == (pytest.approx(seconds, abs=0.06), over, pytest.approx(true, rel=0.01), True)
     fixed = in_step(wrong, timing)

@@ -12,7 +12,18 @@ from tornado.websocket import websocket_connect
 
 from tests.helpers.browser import find_browser
 from tests.studio.fakes import SCENE, Served
-from tests.studio.page import ENABLED, FITTING, HERE, click, drag, on_screen, open_page, shown_text, until
+from tests.studio.page import (
+    ENABLED,
+    FITTING,
+    HERE,
+    box_of,
+    click,
+    drag,
+    on_screen,
+    open_page,
+    shown_text,
+    until,
+)
 from turtlebag.pipeline.studio.view import GoalMark, SectorMarks
 
 pytestmark = [
@@ -65,6 +76,25 @@ def test_the_drive_pad_of_a_small_window_leaves_the_scale_bar_in_sight(
     open_page(browser, served, width, height, touch=True)
     bottom = "document.getElementById({!r}).getBoundingClientRect().bottom"
     assert browser.evaluate(f"{bottom.format('stage')} - {bottom.format('pad')}") >= 54  # its label's top
+
+
+@pytest.mark.parametrize("width", [320, 390])
+def test_on_a_phone_the_panel_can_be_opened_whatever_the_header_tells(browser, session, served, width):
+    session.told = {
+        "mapping": True,
+        "recording": "bag_with_a_long_name",
+        "lost": "scans disagree with the map",
+    }
+    open_page(browser, served, width, 844, touch=True)
+    until(lambda: browser.evaluate("document.getElementById('pills').childElementCount") == 3)
+    left, top, wide, high = box_of(browser, "#fold")
+    assert left >= 0
+    assert left + wide <= width
+    bottom = browser.evaluate("document.querySelector('header').getBoundingClientRect().bottom")
+    assert top + high <= bottom
+    left, top, wide, high = box_of(browser, "#stage")
+    assert top >= bottom - 1
+    assert high > 400
 
 
 def test_a_window_made_narrow_folds_the_panel_and_one_made_wide_shows_it(browser, session, served):

@@ -10,20 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import FASTER, GAP_S, without_gap
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.check.verdict import Verdict
 from turtlebag.pipeline.slam.grid import Certainty
+from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
-from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.scans.clouds import FASTER, GAP_S
-from turtlebag.pipeline.slam.scans.free_space import MOST_PAIRS, NEAR_M, free_space_violations
 from turtlebag.pipeline.slam.sensors.turn_comparison import odometry_stream, usual_period
 from turtlebag.pipeline.slam.sessions import Session
 
@@ -63,7 +61,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
     bad = float(np.mean(share > BAD_SHARE)) if len(share) else 0.0
-    lost = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
+    lost = np.flatnonzero(track.usable & ~track.fits)
     reasons = []
     alone = contradicted_keys(pairs, share, BAD_SHARE)
     if bad > MOST_WRONG or len(alone) > MOST_CONTRADICTED:
@@ -112,10 +110,8 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
 
 def revisits_of(T_map_keys: SE2) -> NDArray[np.int64]:
     """Pairs (n, 2) of keys that are near in place and far in time, in order."""
-    pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(NEAR_M, output_type="ndarray")
-    pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= APART_KEYS]
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return np.asarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)], dtype=np.int64)
+    pairs = visits(T_map_keys.xy)
+    return thinned(pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= APART_KEYS])
 
 
 def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> NDArray[np.int64]:
@@ -164,8 +160,7 @@ def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) ->
 
 def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which of these stamps (n,) are followed by the next without a gap, (n - 1,)."""
-    waits = seconds(np.diff(stamps_ns))
-    return np.asarray((waits > 0.0) & (waits < GAP_S))
+    return without_gap(seconds(np.diff(stamps_ns)))
 
 
 def _sideways(T_map_base: SE2) -> Array:

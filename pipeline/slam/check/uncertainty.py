@@ -12,12 +12,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from turtlebag.datasets.motion import way_and_turn
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.graph.drift import covariances, plane_motions
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis
 from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.scans.clouds import way_and_turn
 
 # This many keys are evaluated, evenly spaced over the log.
 ASKED = 50

@@ -2,7 +2,8 @@
 
 Every step and loop has a covariance, heading included. Expressed at the map's origin, as motions
 of the whole plane, covariances simply add up along a path through the graph; at its end they
-are evaluated at the key scan. So a small heading error moves a distant place far.
+are evaluated at the key scan: equation (4) of docs/how-it-maps.md. So a small heading error moves a distant
+place far.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.graph.factors import Constraint
-from turtlebag.pipeline.slam.graph.pose_graph import WEAK
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
+from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
 
 # The steps' covariances are too large: over 3 to 300 m the squared errors are 0.04 to 0.57 of the accumulated
 # covariance (six logs with a reference, the mean of each).
 HONEST = 0.25
+# A pose is within this many standard deviations: in the plane, 99 of 100 are.
+SIGMAS = 3.0
 # Covariance of a completely unknown pose.
 ANYWHERE = 1e12 * np.eye(3)
 # Indices of x, y and yaw among rotation and translation in space.
@@ -88,7 +90,7 @@ def covariances(T_map_keys: Array, ends: NDArray[np.int64], information: Sequenc
     of x, y and yaw about the map's origin."""
     if len(ends) == 0:
         return np.zeros((0, 3, 3))
-    own = HONEST * np.linalg.inv(np.asarray(information) + WEAK * np.eye(len(information[0])))
+    own = HONEST * np.linalg.inv(positive_definite(np.asarray(information)))
     if len(information[0]) == 6:
         own = own[:, IN_PLANE][:, :, IN_PLANE]
     moved = plane_motions(T_map_keys[ends])
@@ -118,6 +120,16 @@ def reach(covariance: Array) -> tuple[Array, Array]:
     xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
     largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
     return SIGMAS * np.sqrt(largest), SIGMAS * np.sqrt(covariance[..., 2, 2])
+
+
+def sigma_m(covariance: Array) -> Array:
+    """Standard deviation of a pose's position with covariance (..., 3, 3), where it is largest [m]."""
+    return np.asarray(reach(covariance)[0] / SIGMAS)
+
+
+def likely(squares: Array) -> NDArray[np.bool_]:
+    """Whether poses at such squared Mahalanobis distances from each other may be the same."""
+    return squares < SIGMAS**2
 
 
 def _rows(n: int, edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

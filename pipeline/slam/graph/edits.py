@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,8 +18,6 @@ from turtlebag.datasets.yaml_files import load_model
 ScanNumber = Annotated[int, Field(strict=True, ge=0)]
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
-# A scan that the user placed is searched within this window [m], [rad].
-HAND_M, HAND_RAD = 0.5, 0.35
 # An edit of a pair of key scans also applies to this many keys before and after each.
 BESIDE = 6
 
@@ -66,8 +64,8 @@ class KeyEdits:
     """The edits by key number: pairs (n, 2) that are no loops, the newer one first, and loops (i, j, T_j_i)
     to be tried."""
 
-    rejected: NDArray[np.int64]
-    added: tuple[tuple[int, int, Array], ...]
+    rejected: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    added: tuple[tuple[int, int, Array], ...] = ()
 
     @staticmethod
     def of(edits: Edits, keys: NDArray[np.int64]) -> KeyEdits:
@@ -95,9 +93,6 @@ class KeyEdits:
         newer, older = np.maximum(i, j)[:, None], np.minimum(i, j)[:, None]
         near = np.maximum(np.abs(newer - self.rejected[:, 0]), np.abs(older - self.rejected[:, 1]))
         return np.asarray((near <= BESIDE).any(axis=1))
-
-
-NO_EDITS = KeyEdits(np.zeros((0, 2), dtype=np.int64), ())
 
 
 def load_edits(path: Path) -> Edits:

@@ -6,6 +6,7 @@ import enum
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,10 @@ class Constraint:
     """`T_i_j`, the pose of key j relative to key i, with its information in the frame of j.
 
     In the plane (3,) and (3, 3); in space (4, 4) and (6, 6), rotation first. `cauchy` is the width of the
-    Cauchy kernel in standard deviations, 0 for none.
+    Cauchy kernel in standard deviations, 0 for none and CAUCHY where measurements may be wrong.
     """
+
+    CAUCHY: ClassVar[float] = 2.0
 
     i: int
     j: int

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
-from turtlebag.pipeline.slam.graph.pose_graph import HELD, WEAK, noise_model
+from turtlebag.pipeline.slam.graph.pose_graph import HELD, noise_model, positive_definite
 
 # Poses that move farther than this are relinearised [m, rad].
 RELINEARISE = 0.01
@@ -95,9 +95,9 @@ def without(
 
 def joined(a: Constraint, b: Constraint) -> Constraint:
     """Two successive constraints as one."""
-    floor = WEAK * np.eye(3)
-    covariance = np.linalg.inv(_told_of(a.information + floor, np.asarray(SE2(b.T_i_j).inverse().xyt)))
-    total = np.linalg.inv(covariance + np.linalg.inv(b.information + floor))
+    of_a, of_b = positive_definite(a.information), positive_definite(b.information)
+    covariance = np.linalg.inv(_told_of(of_a, np.asarray(SE2(b.T_i_j).inverse().xyt)))
+    total = np.linalg.inv(covariance + np.linalg.inv(of_b))
     return replace(b, i=a.i, T_i_j=compose(a.T_i_j, b.T_i_j), information=total)
 
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array
@@ -25,6 +26,7 @@ WEAK = 1e-4
 # Standard deviation of the fixed first pose [m, rad].
 HELD = 1e-6
 FLOOR = {size: WEAK * np.eye(size) for size in (3, 6)}
+NO_GAPS = np.zeros((0, 2), dtype=np.int64)
 # g2o writes translation before rotation.
 G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
 
@@ -76,9 +78,36 @@ GTSAM = Gtsam()
 optimise = GTSAM.optimise
 
 
+def positive_definite(information: Array) -> Array:
+    """Information (..., k, k) with a negligible one added, so that it has an inverse."""
+    return information + FLOOR[information.shape[-1]]
+
+
 def relative(T_a: Poses, T_b: Poses) -> Poses:
     """Poses b relative to poses a."""
     return T_a.inverse() @ T_b if isinstance(T_a, SE2) else se3.inverse(T_a) @ T_b
+
+
+def carried_poses(
+    T_track: Poses, keys: NDArray[np.int64], T_map_keys: Poses, gaps: NDArray[np.int64] = NO_GAPS
+) -> Poses:
+    """Each scan of a track moved with the key scans before and after it, their corrections blended.
+
+    Across `gaps` (n, 2), last scan before and first scan after each, the track does not know the motion, or
+    jumps: scans before a gap move with the key before it alone, scans after it with the key after it.
+    """
+    scans = np.arange(len(T_track))
+    before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
+    after = np.minimum(before + 1, len(keys) - 1)
+    from_before = T_map_keys[before] @ relative(T_track[keys[before]], T_track)
+    from_after = T_map_keys[after] @ relative(T_track[keys[after]], T_track)
+    fraction = np.maximum(scans - keys[before], 0) / np.maximum(keys[after] - keys[before], 1)
+    for last, first in gaps.tolist():
+        within = (before == before[last]) & (scans < keys[after[last]])
+        fraction[within] = np.clip((scans[within] - last) / (first - last), 0.0, 1.0)
+    if isinstance(from_before, SE2):
+        return from_before.interpolate(from_after, fraction)
+    return se3.interpolate(from_before, from_after, fraction)
 
 
 def vectors(T: SE2 | Array) -> Array:
@@ -126,8 +155,7 @@ def noise_model(constraint: Constraint) -> Any:
     """GTSAM's noise model of a constraint, with a floor that keeps its information positive definite."""
     import gtsam
 
-    floor = FLOOR[len(constraint.information)]
-    gaussian: Any = gtsam.noiseModel.Gaussian.Information(constraint.information + floor)
+    gaussian: Any = gtsam.noiseModel.Gaussian.Information(positive_definite(constraint.information))
     if constraint.cauchy == 0.0:
         return gaussian
     return gtsam.noiseModel.Robust.Create(_cauchy(constraint.cauchy), gaussian)

@@ -16,24 +16,13 @@ from pydantic import Field
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
-from turtlebag.pipeline.slam.graph.edits import NO_EDITS, KeyEdits
+from turtlebag.pipeline.slam.graph.edits import KeyEdits
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
-from turtlebag.pipeline.slam.graph.pose_graph import GTSAM, Poses, optimise
-from turtlebag.pipeline.slam.scans.align import (
-    CAUCHY,
-    LEAST_OVERLAP,
-    NEIGHBOURS,
-    STEP_COVARIANCE_SCALE,
-)
+from turtlebag.pipeline.slam.graph.pose_graph import Gtsam, Poses, optimise
+from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.correspondences import FINE, ROUGH, Limits
-from turtlebag.pipeline.slam.scans.pairs import (
-    ALIKE,
-    RADIUS_M,
-    match_pairs,
-    overlapping_pairs,
-    partner_radius,
-)
+from turtlebag.pipeline.slam.scans.correspondences import Limits
+from turtlebag.pipeline.slam.scans.pairs import alike_within, match_pairs, overlapping_pairs, partner_radius
 
 
 class RefineConfig(Settings):
@@ -48,25 +37,22 @@ def refine(
     T_map_keys: SE2,
     steps: Sequence[Constraint],
     config: RefineConfig,
-    edits: KeyEdits = NO_EDITS,
-    back_end: BackEnd = GTSAM,
+    edits: KeyEdits = KeyEdits(),  # noqa: B008 (frozen)
+    back_end: BackEnd | None = None,
 ) -> tuple[SE2, list[Constraint]]:
     """Refined poses of the key scans and the pair constraints of the last round.
 
     `steps` are the odometry constraints between successive keys, kept in the graph throughout. Pairs that a
     person rejected are left out.
     """
-    radius = partner_radius(clouds)
-    alike = round(ALIKE * radius / RADIUS_M)
+    radius, solve = partner_radius(clouds), (back_end or Gtsam()).optimise
 
     def matched(poses: SE2, f: float) -> list[Constraint]:
-        gate = ROUGH.gate * (FINE.gate / ROUGH.gate) ** f
-        sigma = ROUGH.sigma * (FINE.sigma / ROUGH.sigma) ** f
-        pairs = overlapping_pairs(poses, radius, NEIGHBOURS, alike)
+        pairs = overlapping_pairs(poses, radius, alike=alike_within(radius))
         pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
-        return pair_constraints(clouds, keys, poses, pairs, Limits(gate, sigma))
+        return pair_constraints(clouds, keys, poses, pairs, Limits.between(f))
 
-    return in_rounds(T_map_keys, steps, config.rounds, matched, back_end.optimise)
+    return in_rounds(T_map_keys, steps, config.rounds, matched, solve)
 
 
 def in_rounds(
@@ -95,9 +81,11 @@ def pair_constraints(
     limits: Limits,
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
-    relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, limits)
+    found = match_pairs(clouds, keys, T_map_keys, pairs, limits)
     return [
-        Constraint(int(i), int(j), relative[k], information[k] / STEP_COVARIANCE_SCALE, Kind.PAIR, CAUCHY)
-        for k, (i, j) in enumerate(pairs)
-        if overlap[k] >= LEAST_OVERLAP
+        Constraint(
+            i, j, found.T_i_j[k], match_information(found.information[k]), Kind.PAIR, Constraint.CAUCHY
+        )
+        for k, (i, j) in enumerate(pairs.tolist())
+        if found.possible[k]
     ]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.pipeline.slam.loops.free_space import contradicts, mean_violation
 from turtlebag.pipeline.slam.loops.match import Stretch
-from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP, Alignment
+from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.free_space import MOST_VIOLATIONS, mean_violation
 
 # An alignment that ends farther than this from the search result [m], [rad] has moved to another place.
 PEAK = 0.15
@@ -25,11 +25,11 @@ def loop_verdict(
     which the search placed it."""
     query, place = stretches
     T_j_i = found.T_map_base.xyt
-    if found.overlap < LEAST_OVERLAP or found.agreement < min_overlap:
+    if not found.possible or found.agreement < min_overlap:
         return "low overlap"
     if np.abs(between(searched, T_j_i)).max() > PEAK:
         return "alignment left the peak"
-    if _violation(clouds, query, place, T_j_i) > MOST_VIOLATIONS:
+    if contradicts(_violation(clouds, query, place, T_j_i)):
         return "free-space violations"
     return "accepted"
 

@@ -25,39 +25,39 @@ from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.graph.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency, support
+from turtlebag.pipeline.slam.loops.free_space import (
+    NEAR_M,
+    THROUGH_M,
+    contradicts,
+    mean_violation,
+    thinned,
+    visits,
+)
 from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops.submaps import (
-    MOST_SHIFT,
-    RESOLUTION_M,
     Pictures,
     Submap,
+    farthest_m,
     laid_on,
     make_submap,
     similarity,
     windows,
 )
-from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_parts
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.track import blind
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
-from turtlebag.pipeline.slam.scans.correspondences import FINE, ROUGH
-from turtlebag.pipeline.slam.scans.free_space import (
-    MOST_PAIRS,
-    MOST_VIOLATIONS,
-    NEAR_M,
-    THROUGH_M,
-    mean_violation,
-)
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 
 # Another place may be the true one if it has at most this many times as many free-space violations (places
 # that only look alike: 6 % and more, rooms identical to the centimetre 1 to 3 %). A true place has at most
-# this many times what is usual in the log plus MOST_VIOLATIONS: simulated logs 0 to 1 % (0 is usual), CSAIL 1
-# (1), acapulco 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
+# this many times what is usual in the log and what `contradicts` adds: simulated logs 0 to 1 % (0 is usual),
+# CSAIL 1 (1), acapulco 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
 ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
 # Submaps made at one place count as one if the cosine between their headings is larger than this.
 SAME_WAY = 0.7
 # A submap's other scans are judged at the pose found.
-AS_PUT = FINE._replace(iterations=0)
+AS_PUT = Limits.fine()._replace(iterations=0)
 
 
 class PlaceRecognitionConfig(Settings):
@@ -135,7 +135,7 @@ def submap_searches(
         if ((apart + off < NEAR_M) & same_way).any():
             continue
         first_visits.append(i)
-        far = (off > reach_m) & (apart < off + MOST_SHIFT * RESOLUTION_M)
+        far = (off > reach_m) & (apart < off + farthest_m())
         if far.any():
             yield i, dict(zip(older[far].tolist(), off[far].tolist(), strict=True))
 
@@ -182,7 +182,7 @@ def judge_place(
     clouds, keys = scans
     place, at_place = keys[other.keys[::2]], np.ascontiguousarray(other.T_middle_keys[::2])
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
-    result = matcher.match(clouds, middle, there, start, ROUGH)
+    result = matcher.match(clouds, middle, there, start, Limits.rough())
     pose = result.T_map_base.xyt
     if result.overlap < config.min_overlap:  # no need to ask the other scans
         return _low_overlap(query, other, score, result)
@@ -220,11 +220,8 @@ class Violations(NamedTuple):
     def usual(self) -> float:
         """Of visits between which there is little drift: people, glass."""
         poses = self.drift.T_map_keys
-        pairs = (
-            scipy.spatial.cKDTree(poses[:, :2]).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
-        )
         # drift excludes those far apart in time; a sample holds enough of the others
-        pairs = pairs[np.lexsort(pairs.T[::-1])][:: max(1, len(pairs) // (10 * MOST_PAIRS))]
+        pairs = thinned(visits(poses[:, :2]), 10)
         off = reach(read_at(self.drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
         return self._mean(poses, pairs[off < THROUGH_M], 0.0)
 
@@ -246,8 +243,8 @@ class Violations(NamedTuple):
         return self._mean(moved, np.array(pairs, dtype=np.int64).reshape(-1, 2), 1.0)
 
     def _mean(self, poses: Array, pairs: NDArray[np.int64], unknown: float) -> float:
-        """Of pairs (n, 2) of keys, thinned to every second, third, ... if there are many."""
-        return mean_violation(*self.scans, poses, pairs[:: max(1, len(pairs) // MOST_PAIRS)], unknown)
+        """Of pairs (n, 2) of keys, thinned if there are many."""
+        return mean_violation(*self.scans, poses, thinned(pairs), unknown)
 
 
 def accepted_sets(
@@ -264,14 +261,14 @@ def accepted_sets(
         return [], list(found)
     comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.covariance_scale)
     verdicts = ["too few agree"] * len(places)
-    most = ALIKE_FACTOR * violations.usual() + MOST_VIOLATIONS
+    usual = ALIKE_FACTOR * violations.usual()
     feasible: list[tuple[list[int], int, float]] = []
     for members in agreeing_sets(places, agree & comparable):
         supporters = support(places, members)
         if supporters < config.min_support - 1:
             continue
         mean = violations.with_stretch([places[k] for k in members])
-        if mean > most:
+        if contradicts(mean, usual):
             _mark(verdicts, members, "the stretch contradicts the place")
         else:
             feasible.append((members, supporters, mean))
@@ -302,6 +299,25 @@ def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
     """The uncertainty of keys (n,) relative to another one [m], (n,)."""
     gathered = drift.along(keys, np.full(len(keys), other))
     return reach(read_at(gathered, drift.T_map_keys[keys]))[0]
+
+
+def joined_parts(
+    breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) without weight,
+    because their ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken
+    step that nothing contradicts still connects."""
+    segment = breaks.segments()
+    part = np.arange(segment[-1] + 1)
+    for i, j in joins:
+        part[part == part[segment[i]]] = part[segment[j]]
+    released = np.zeros(len(breaks.broken), dtype=bool)
+    for step in np.flatnonzero(breaks.broken).tolist():
+        one, two = part[segment[step]], part[segment[step + 1]]
+        released[step] = one == two
+        if not breaks.contradicted[step]:
+            part[part == two] = one
+    return np.asarray(part[segment]), released
 
 
 def join_parts(poses: Array, part: NDArray[np.int64], members: list[Loop]) -> tuple[Array, NDArray[np.int64]]:

@@ -9,8 +9,8 @@ A loop has no information along unobservable directions, and enters the graph wi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -22,16 +22,16 @@ from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
 from turtlebag.pipeline.slam.graph.drift import drift_of, reach, read_at
-from turtlebag.pipeline.slam.graph.edits import NO_EDITS, KeyEdits
+from turtlebag.pipeline.slam.graph.edits import KeyEdits
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
-from turtlebag.pipeline.slam.graph.pose_graph import GTSAM
+from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
 from turtlebag.pipeline.slam.loops.acceptance import loop_verdict
 from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops.matchers import LineMatch, Open3dMatch
-from turtlebag.pipeline.slam.scans.align import CAUCHY
+from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.correlative import TURN_RAD, best_pose, make_field
-from turtlebag.pipeline.slam.scans.correspondences import ROUGH
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
 """The values of `loops.match`; see `turtlebag.pipeline.slam.loops.match`."""
@@ -70,7 +70,7 @@ class LoopConfig(Settings):
     def constraint(self, place: Loop) -> Constraint:
         """The constraint of a revisited place in the graph."""
         information = place.information / self.covariance_scale
-        return Constraint(place.j, place.i, place.T_j_i, information, Kind.LOOP, CAUCHY)
+        return Constraint(place.j, place.i, place.T_j_i, information, Kind.LOOP, Constraint.CAUCHY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +78,8 @@ class LoopClosing:
     """The configuration of loop closure: settings, the user's edits, and the back end."""
 
     config: LoopConfig
-    edits: KeyEdits = NO_EDITS
-    back_end: BackEnd = GTSAM
+    edits: KeyEdits = field(default_factory=KeyEdits)
+    back_end: BackEnd = field(default_factory=Gtsam)
 
 
 def close_loops(
@@ -87,19 +87,20 @@ def close_loops(
     T_map_keys: SE2,
     steps: Sequence[Constraint],
     closing: LoopClosing,
-    batches: Iterable[int],
     part: NDArray[np.int64],
     known: Sequence[Constraint] = (),
+    progress: Progress = no_progress,
 ) -> LoopFinder:
-    """Search along the log; `batches` yields 0, 1, ... for each BATCH keys (the position of a progress bar).
+    """Search along the log, BATCH keys at a time.
 
     Loops are searched within parts of the log only (`part`, (keys,)): across a break of the track, distance
     says nothing. `known` are loops found otherwise. The returned finder holds the poses with loops closed,
     the loop constraints, and the record of all candidates.
     """
     finder = LoopFinder(scans, T_map_keys, steps, closing, part, known)
-    for batch in batches:
-        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(scans.keys))))
+    n = len(scans.keys)
+    for batch in progress(range(-(-n // BATCH)), "closing loops", -(-n // BATCH)):
+        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, n)))
     return finder
 
 
@@ -131,7 +132,7 @@ class LoopSearch(ABC):
         config: LoopConfig,
         part: NDArray[np.int64],
         known: Sequence[Constraint] = (),
-        edits: KeyEdits = NO_EDITS,
+        edits: KeyEdits = KeyEdits(),  # noqa: B008 (frozen)
     ) -> None:
         self.config, self.part, self.edits = config, part, edits
         self.poses = T_map_keys.xyt.copy()
@@ -254,7 +255,7 @@ class LoopFinder(LoopSearch):
         fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, FINE_RAD)
         if score < config.min_score:
             return Loop(i, j, fine, score, 0.0, 0.0, np.eye(3), "low score", gate)
-        found = self.matcher.match(clouds, query, place, fine, ROUGH)
+        found = self.matcher.match(clouds, query, place, fine, Limits.rough())
         verdict = loop_verdict(found, fine, clouds, (query, place), config.min_overlap)
         T_j_i, fit = found.T_map_base.xyt, (found.overlap, found.rmse, found.information)
         return Loop(i, j, T_j_i, score, *fit, verdict, gate)

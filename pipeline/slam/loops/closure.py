@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop, firm
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places, relaxed
-from turtlebag.pipeline.slam.loops.by_distance import BATCH, LoopClosing, LoopFinder, close_loops
+from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.progress import Progress
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
+
+# A scan that the user placed is searched within this window [m], [rad].
+HAND_M, HAND_RAD = 0.5, 0.35
 
 
 def close_graph(
@@ -35,8 +37,7 @@ def close_graph(
     n = len(scans.keys)
 
     def close(start: SE2, part: NDArray[np.int64], known: list[Constraint]) -> LoopFinder:
-        batches = progress(range(-(-n // BATCH)), "closing loops", -(-n // BATCH))
-        return close_loops(scans, start, steps, by_distance, batches, part, known)
+        return close_loops(scans, start, steps, by_distance, part, known, progress)
 
     finder = close(T_map_keys, breaks.segments(), known)
     if not by_looks.enabled:

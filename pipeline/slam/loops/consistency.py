@@ -1,8 +1,8 @@
 """Pairwise consistency of recognised places (PCM), and the largest consistent sets.
 
-Mangelson et al. (2018): two places recognised by two submaps are
-consistent if the cycle through both closes within the drift between them. True places are
-consistent with all other true ones; false ones in a repetitive building with fewer.
+Mangelson et al. (2018): two places recognised by two submaps are consistent if the cycle through both closes
+within the drift between them. True places are consistent with all other true ones; false ones in a
+repetitive building with fewer.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.graph.drift import SIGMAS, Drift, covariances, reach, read_at
+from turtlebag.pipeline.slam.graph.drift import Drift, covariances, likely, reach, read_at
 from turtlebag.pipeline.slam.graph.factors import Loop
 
 
@@ -25,7 +25,8 @@ def consistency(
 
     Each place moves the newer part of the log onto the older one. If both are true, the two motions are
     nearly equal: within the covariance of the paths between them and of the places themselves (their
-    information divided by `covariance_scale`). Beyond `reach_m`, two places cannot be compared.
+    information divided by `covariance_scale`), equation (5) of docs/how-it-maps.md. Beyond `reach_m`, two
+    places cannot be compared.
     """
     n, T = len(found), drift.T_map_keys
     comparable, agree = np.zeros((n, n), dtype=bool), np.eye(n, dtype=bool)
@@ -49,7 +50,7 @@ def consistency(
         by_a = moves[a] @ SE2(T[i[b]])
         apart = np.column_stack([by_a.xy - at_place[b, :2], (moves[b].inverse() @ moves[a]).yaw])
         squares = np.einsum("na,na->n", apart, np.linalg.solve(covariance, apart[..., None])[..., 0])
-        agree[a, b] = agree[b, a] = squares < SIGMAS**2
+        agree[a, b] = agree[b, a] = likely(squares)
     return comparable, agree
 
 

@@ -48,6 +48,11 @@ class Submap:
     spectrum: NDArray[np.complex64]
 
 
+def farthest_m() -> float:
+    """How far apart submaps may be to be laid on each other [m]."""
+    return MOST_SHIFT * RESOLUTION_M
+
+
 def windows(n_keys: int, broken: NDArray[np.bool_]) -> dict[int, NDArray[np.int64]]:
     """The keys of each submap by its middle one, along the log; none spans a broken step."""
     ends = np.concatenate([[0], np.flatnonzero(broken) + 1, [n_keys]])

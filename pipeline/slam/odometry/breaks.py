@@ -8,17 +8,15 @@ elsewhere. Both determine how far off a place may be when the robot returns to i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import GAP_S
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.scans.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.scans.clouds import GAP_S
 
 # A gap is at least this many usual periods long.
 GAP_PERIODS = 8.0
@@ -72,25 +70,6 @@ def joined_breaks(a: TrackBreaks, b: TrackBreaks, scans: int, *, broken: bool = 
     )
 
 
-def joined_parts(
-    breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) without weight,
-    because their ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken
-    step that nothing contradicts still connects."""
-    segment = breaks.segments()
-    part = np.arange(segment[-1] + 1)
-    for i, j in joins:
-        part[part == part[segment[i]]] = part[segment[j]]
-    released = np.zeros(len(breaks.broken), dtype=bool)
-    for step in np.flatnonzero(breaks.broken).tolist():
-        one, two = part[segment[step]], part[segment[step + 1]]
-        released[step] = one == two
-        if not breaks.contradicted[step]:
-            part[part == two] = one
-    return np.asarray(part[segment]), released
-
-
 def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
     """Judge every step between the key scans of a track."""
     T, keys, stamps_ns = track.T_track_base, track.keys, evidence.stamps_ns
@@ -98,7 +77,7 @@ def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     # the first scan that fits nothing seen just before follows a gap, whatever the stamps say
-    strange = track.usable & (track.overlap < LEAST_OVERLAP)
+    strange = track.usable & ~track.fits
     first = 1 + np.flatnonzero(strange[1:] & ~strange[:-1])
     missing = gaps_between(stamps_ns, track.usable)
     waited = np.unique(np.concatenate([missing, np.stack([first - 1, first], axis=1)]), axis=0)
@@ -108,7 +87,7 @@ def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
             continue
         agreed = evidence.agreed(T, before, after) and not fast
         wait = seconds(int(stamps_ns[after] - stamps_ns[before]))
-        fits = track.overlap[after] >= LEAST_OVERLAP
+        fits = track.fits[after]
         if not (agreed and fits and (wait < SHORT_S or sure[after])):
             broken[step] = True
             contradicted[step] |= not agreed

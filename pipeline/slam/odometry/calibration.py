@@ -13,17 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.robust import cauchy_weight, sigma_by_median
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.graph.pose_graph import WEAK
-from turtlebag.pipeline.slam.scans.align import (
-    CAUCHY,
-    LEAST_OVERLAP,
-    STEP_COVARIANCE_SCALE,
-)
+from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
+from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.correspondences import FINE, ROUGH
-from turtlebag.pipeline.slam.scans.pairs import match_pairs
-from turtlebag.pipeline.slam.scans.range_noise import PER_MEDIAN
+from turtlebag.pipeline.slam.scans.correspondences import Limits
+from turtlebag.pipeline.slam.scans.pairs import PairMatches, match_pairs
 
 # Key scans are compared over a baseline, this much driving [m] or a radian of turning: far enough for scale
 # errors to exceed the noise of a match, near enough for the views to overlap.
@@ -77,6 +73,11 @@ class Calibration:
         return np.eye(3) * sigma[..., None, :] ** -2.0
 
 
+def gross(error: Array | float, size: Array | float) -> NDArray[np.bool_]:
+    """Whether odometry with such errors (n,) of motions of such a size (n,) is wrong, not just late."""
+    return np.abs(error) > GROSS * np.asarray(size)
+
+
 def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_keys: SE2) -> Calibration:
     """Systematic errors of odometry, from key scans matched with each other without its help.
 
@@ -87,11 +88,11 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     pairs = baseline_pairs(steps)
     if len(pairs) == 0:
         return Calibration()
-    matched, information, overlap = _matched(clouds, keys, T_map_keys, pairs)
-    good = overlap >= LEAST_OVERLAP
+    found = _matched(clouds, keys, T_map_keys, pairs)
+    good = found.possible
     if not good.any():
         return Calibration()
-    return fit_shares(steps, pairs[good], matched[good], information[good] / STEP_COVARIANCE_SCALE)
+    return fit_shares(steps, pairs[good], found.T_i_j[good], match_information(found.information[good]))
 
 
 def baselines(steps: Array) -> Array:
@@ -109,17 +110,19 @@ def baseline_pairs(steps: Array) -> NDArray[np.int64]:
 
 def _matched(
     clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, pairs: NDArray[np.int64]
-) -> tuple[Array, Array, Array]:
-    """Per pair (i, j): T_i_j (n, 3) by its two scans alone, information (n, 3, 3), overlap (n,)."""
+) -> PairMatches:
+    """Each pair (i, j) by its two scans alone."""
     i, j = pairs[:, 0], pairs[:, 1]
     T_i_j = (T_map_keys[i].inverse() @ T_map_keys[j]).xyt
     # every pair gets its own key scans, so that each moves on by its own match
     own_keys, own_pairs = keys[pairs].ravel(), np.arange(2 * len(pairs)).reshape(-1, 2)
-    for limits in (FINE._replace(gate=ROUGH.gate), FINE, FINE):
+    fine = Limits.fine()
+    for limits in (fine._replace(gate=Limits.rough().gate), fine, fine):
         poses = np.zeros((2 * len(pairs), 3))
         poses[1::2] = T_i_j
-        T_i_j, information, overlap = match_pairs(clouds, own_keys, SE2(poses), own_pairs, limits)
-    return T_i_j, information, overlap
+        found = match_pairs(clouds, own_keys, SE2(poses), own_pairs, limits)
+        T_i_j = found.T_i_j
+    return found
 
 
 def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
@@ -133,7 +136,7 @@ def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, informati
         weight = joint_information(information, noise)
         for _ in range(8):
             left = error - np.einsum("nij,j->ni", jacobian, shares)
-            trust = 1.0 / (1.0 + np.einsum("ni,nij,nj->n", left, weight, left) / CAUCHY**2)
+            trust = cauchy_weight(np.einsum("ni,nij,nj->n", left, weight, left))
             a = np.einsum(
                 "n,nia,nij,njb->ab", trust, jacobian, weight, jacobian
             ) + ODOMETRY_SHARE**-2 * np.eye(3)
@@ -153,13 +156,13 @@ def joint_information(information: Array, noise: Array) -> Array:
 
 def noise_left(left: Array, information: Array) -> Array:
     """Standard deviations by the median of the residuals, pulled to the usual ones if there are few pairs."""
-    variance = np.diagonal(np.linalg.inv(information + WEAK * np.eye(3)), axis1=1, axis2=2)
+    variance = np.diagonal(np.linalg.inv(positive_definite(information)), axis1=1, axis2=2)
     sees = variance < 4.0 * USUAL_NOISE**2
     out = USUAL_NOISE.copy()
     for k in range(3):
         n = np.count_nonzero(sees[:, k])
         if n > 0:
-            measured = PER_MEDIAN * np.median(np.abs(left[sees[:, k], k]))
+            measured = sigma_by_median(left[sees[:, k], k])
             share = n / (n + ENOUGH)
             out[k] = max(share * measured + (1.0 - share) * USUAL_NOISE[k], LEAST_NOISE[k])
     return out

@@ -13,12 +13,12 @@ import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
 from turtlebag.pipeline.slam.odometry.trust import RECENT, distrusted_steps
-from turtlebag.pipeline.slam.scans.clouds import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
 
 NO_BORDERS = np.zeros(0, dtype=np.int64)
 

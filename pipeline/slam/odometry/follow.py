@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from turtlebag.datasets.motion import sweep_motion_by_track
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import Maker, track_log
 from turtlebag.pipeline.slam.progress import Progress
-from turtlebag.pipeline.slam.scans.clouds import sweep_motion_by_track
 from turtlebag.pipeline.slam.scans.scans import Scans
 
 

@@ -16,17 +16,18 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.odometry.front_end import Placed
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES
-from turtlebag.pipeline.slam.odometry.tracker import FIELD_KEYS, Tracker
-from turtlebag.pipeline.slam.scans.align import MOST_POINTS, NEIGHBOURS, align
+from turtlebag.pipeline.slam.odometry.tracker import Tracker
+from turtlebag.pipeline.slam.scans.align import align
 from turtlebag.pipeline.slam.scans.clouds import point_information
-from turtlebag.pipeline.slam.scans.correspondences import ROUGH
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 
 # Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.
 VOXEL_M = 0.2
 # Share of a scan that must fit for its pose to be accepted; the pose from another start must be better by
 # this share.
 MIN_FIT, SURELY_BETTER = 0.4, 0.05
+# Points are matched up to this many times KISS-ICP's threshold apart.
+SIGMAS = 3.0
 # Standard deviation of a point of the voxel map, in voxels: a point is matched with whichever one was kept
 # there.
 VOXELS = 0.6
@@ -65,15 +66,15 @@ class KissIcp:
         tracker = self._tracker
         if tracker.clouds.placed_by(tracker.scan) == "points":
             return point_information(points) / (VOXELS * VOXEL_M) ** 2
-        keys, poses = tracker.last_keys(NEIGHBOURS)
-        as_is = ROUGH._replace(iterations=0, most_points=MOST_POINTS)
+        keys, poses = tracker.last_keys()
+        as_is = Limits.rough().of_one_scan(iterations=0)
         return align(tracker.clouds, tracker.scan, pose, keys, poses, as_is).information
 
     def _of_keys(self) -> LidarOdometry:
         """KISS-ICP with the map of the last key scans."""
         tracker = self._tracker
         kiss = LidarOdometry(tracker.max_range)
-        for key, pose in zip(*tracker.last_keys(FIELD_KEYS), strict=True):
+        for key, pose in zip(*tracker.field_keys(), strict=True):
             kiss.update(tracker.clouds.of(key), pose, pose)
         return kiss
 

@@ -16,33 +16,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from turtlebag.datasets.motion import ANY_ROBOT, is_gap
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.odometry.front_end import Placed
-from turtlebag.pipeline.slam.odometry.kiss import SURELY_BETTER, KissIcp
+from turtlebag.pipeline.slam.odometry.kiss import KissIcp
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, confirms
 from turtlebag.pipeline.slam.odometry.tracker import Tracker
 from turtlebag.pipeline.slam.odometry.trust import OdometryTrust
-from turtlebag.pipeline.slam.scans.align import (
-    CAUCHY,
-    LEAST_OVERLAP,
-    MOST_POINTS,
-    NEIGHBOURS,
-    Alignment,
-    Prior,
-    align,
-)
-from turtlebag.pipeline.slam.scans.clouds import ANY_ROBOT, GAP_S, MIN_LINES
-from turtlebag.pipeline.slam.scans.correlative import TURN_RAD, best_pose
-from turtlebag.pipeline.slam.scans.correspondences import FINE, ROUGH
+from turtlebag.pipeline.slam.scans.align import Alignment, Prior, align
+from turtlebag.pipeline.slam.scans.correlative import best_pose
+from turtlebag.pipeline.slam.scans.correspondences import Limits
 
 STANDSTILL = HYPOTHESES.index("standstill")
 # Gauss-Newton steps from one start.
 ITERATIONS = 10
 # Without odometry a constant velocity is predicted, with this share of an odometry step's information.
 STEADY_SHARE = 0.05
-# For this many scans after a gap the motion across it is uncertain. The pose of a scan is certain if this
-# share of what it could see again fits (at wrong places of 26 drives with gaps at most 0.88).
-DOUBTED_SCANS, SURELY_THERE = 12, 0.92
+# For this many scans after a gap the motion across it is uncertain.
+DOUBTED_SCANS = 12
 # A scan fits if its cost exceeds the usual cost by no more than this; the usual cost starts at this value and
 # follows that of each scan with this weight.
 FITS, USUAL_COST, FOLLOWS = 0.25, 0.3, 0.02
@@ -50,6 +41,8 @@ FITS, USUAL_COST, FOLLOWS = 0.25, 0.3, 0.02
 # farther than any robot drives meanwhile, because beyond it fits only places that look alike. At the right
 # place of an unseen maze 0.71 fitted, after robots were carried by 0.9 m 0.35 to 0.52.
 LOST, HALF = 1.0, 0.5
+# The place found by this search must cost less by this much than that of the track.
+SURELY_BETTER = 0.05
 # Weight of the odometry's normalised innovation squared (NIS, under a Cauchy kernel) against the misfit of
 # points, as if it were this many of all points.
 NIS_WEIGHT = 0.01
@@ -124,17 +117,17 @@ class Lines:
         driven = tracker.odometry_since(scan - since.ago)
         agreed = confirms(driven, between(since.T_map_base, found.T_map_base.xyt))
         fits = found.cost <= self._usual_cost + FITS
-        if self.doubt is None and abs(wait_s) > GAP_S:
+        if self.doubt is None and is_gap(wait_s):
             self.doubt = since
         elif since.ago >= DOUBTED_SCANS or (agreed and fits):
             self.doubt, believed = None, since.wheels_believed
-            there = found.overlap >= LEAST_OVERLAP and (found.agreement >= SURELY_THERE or not believed)
+            there = found.possible and (found.certain or not believed)
             if not (agreed or there):
                 found = _fits_nothing(compose(since.T_map_base, driven))
             if agreed or believed or not there:
                 settled = range(scan - since.ago + 1, scan)
         since.ago += 1
-        return found, self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
+        return found, self.doubt is None or (agreed and found.possible), settled
 
     def _by_lines(
         self, scan: int, starts: list[tuple[int, Array]], information: Array, wait_s: float
@@ -148,10 +141,10 @@ class Lines:
             carried = compose(self.doubt.T_map_base, step)
             other = self._best(scan, [(0, carried)], carried, config.odometry.information(step))
             best = other if _beats(other, best) else best
-        if any(math.dist(start[:2], tracker.pose[:2]) > ROUGH.gate for _, start in starts):
+        if any(math.dist(start[:2], tracker.pose[:2]) > Limits.rough().gate for _, start in starts):
             # wheels may spin in front of an obstacle, farther than partners are searched
             still = self._best(scan, [(STANDSTILL, tracker.pose)], guess, information)
-            if still is not None and still[0].agreement >= SURELY_THERE and _beats(still, best):
+            if still is not None and still[0].certain and _beats(still, best):
                 best = still
         if best is None or best[2] > self._usual_cost + FITS:
             there = best is not None and best[0].overlap >= HALF
@@ -169,28 +162,23 @@ class Lines:
     ) -> Found | None:
         """The alignment of least cost over the starts; cost is per usable point, 0 good .. 1 bad."""
         tracker, best = self.tracker, None
-        usable = tracker.clouds.lines(scan)
-        if usable < MIN_LINES:
+        if not tracker.clouds.has_lines(scan):
             return None
         tried: list[Array] = []
-        keys, poses = tracker.last_keys(NEIGHBOURS)
-        limits = ROUGH._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
+        keys, poses = tracker.last_keys()
+        limits, odometry = Limits.rough().of_one_scan(ITERATIONS), Prior.of_odometry(prior, information)
         for source, start in starts:
             # starts too close for a good match to distinguish end at the same pose
-            if any(np.abs(between(other, start)).max() < FINE.sigma for other in tried):
+            if any(np.abs(between(other, start)).max() < Limits.fine().sigma for other in tried):
                 continue
             tried.append(start)
-            result = align(
-                tracker.clouds, scan, start, keys, poses, limits, Prior(prior, information, CAUCHY)
-            )
-            e = between(prior, result.T_map_base.xyt)
-            nis = np.log1p(e @ information @ e / CAUCHY**2)
+            result = align(tracker.clouds, scan, start, keys, poses, limits, odometry)
             # Points in space that the key scans did not see are half a miss: a pose where everything is seen
             # again is more probable than one in unseen space, or odometry that jumps would win by leaving the
             # known area.
             unseen = 1.0 - result.known
             fit = result.known * result.cost + unseen * (self._usual_cost + 0.5 * FITS)
-            cost = fit + NIS_WEIGHT * float(nis)
+            cost = fit + NIS_WEIGHT * odometry.cost(result.T_map_base.xyt)
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best
@@ -199,7 +187,7 @@ class Lines:
         """Exhaustive search in a wide window around each centre, because the track may be lost."""
         points = self.tracker.clouds.of(scan)[::4]
         field = self.tracker.field
-        found = [best_pose(field, points, center, window_m, window_rad, TURN_RAD) for center in centers]
+        found = [best_pose(field, points, center, window_m, window_rad) for center in centers]
         return max(found, key=lambda pair: pair[1])[0]
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.odometry.line_icp import STEADY_SHARE
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.scans.align import CAUCHY, STEP_COVARIANCE_SCALE
+from turtlebag.pipeline.slam.scans.align import match_information
 
 
 def step_constraints(
@@ -27,7 +27,7 @@ def step_constraints(
     matched = T.steps()
     constraints = []
     for k, step in enumerate(matched):
-        seen = track.information[track.keys[k + 1]] / STEP_COVARIANCE_SCALE
+        seen = match_information(track.information[track.keys[k + 1]])
         constraints.append(Constraint(k, k + 1, step, seen, Kind.STEP))
         if track.odometry_steps is None or so_far[k + 1] > so_far[k]:
             # the front end assumed a constant velocity there; without any constraint the graph falls apart
@@ -36,5 +36,5 @@ def step_constraints(
         else:
             odometry = track.odometry_steps[k]
             information = track.calibration.information(odometry)
-            constraints.append(Constraint(k, k + 1, odometry, information, Kind.WHEELS, CAUCHY))
+            constraints.append(Constraint(k, k + 1, odometry, information, Kind.WHEELS, Constraint.CAUCHY))
     return constraints

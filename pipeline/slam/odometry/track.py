@@ -8,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.graph.pose_graph import WEAK, Poses, relative
+from turtlebag.pipeline.slam.graph.pose_graph import WEAK
 from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, Calibration
+from turtlebag.pipeline.slam.scans.align import possible
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery", "standstill")
 # How far scans and odometry may differ about a motion [m]; [rad], and as a share of the motion.
 AGREE_M, AGREE = 0.3, 0.15
 # A scan is blind if its information along one direction is at most this share of that along the other.
 BLIND = 0.01
-NO_GAPS = np.zeros((0, 2), dtype=np.int64)
 
 
 class OdometryNoise(Settings):
@@ -64,6 +63,11 @@ class Track:
     calibration: Calibration
     usable: NDArray[np.bool_]
 
+    @property
+    def fits(self) -> NDArray[np.bool_]:
+        """Which scans (n,) match others at all."""
+        return possible(self.overlap)
+
 
 def blind(information: Array) -> NDArray[np.bool_]:
     """Whether scans with information (..., 3, 3) observe only one direction when their yaw is unknown."""
@@ -79,25 +83,3 @@ def confirms(odometry: Array, motion: Array) -> bool:
     return bool(
         np.hypot(apart[0], apart[1]) < AGREE_M + AGREE * distance and abs(apart[2]) < AGREE + AGREE * turn
     )
-
-
-def carried_poses(
-    T_track: Poses, keys: NDArray[np.int64], T_map_keys: Poses, gaps: NDArray[np.int64] = NO_GAPS
-) -> Poses:
-    """Each scan of a track moved with the key scans before and after it, their corrections blended.
-
-    Across `gaps` (n, 2), last scan before and first scan after each, the track does not know the motion, or
-    jumps: scans before a gap move with the key before it alone, scans after it with the key after it.
-    """
-    scans = np.arange(len(T_track))
-    before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
-    after = np.minimum(before + 1, len(keys) - 1)
-    from_before = T_map_keys[before] @ relative(T_track[keys[before]], T_track)
-    from_after = T_map_keys[after] @ relative(T_track[keys[after]], T_track)
-    fraction = np.maximum(scans - keys[before], 0) / np.maximum(keys[after] - keys[before], 1)
-    for last, first in gaps.tolist():
-        within = (before == before[last]) & (scans < keys[after[last]])
-        fraction[within] = np.clip((scans[within] - last) / (first - last), 0.0, 1.0)
-    if isinstance(from_before, SE2):
-        return from_before.interpolate(from_after, fraction)
-    return se3.interpolate(from_before, from_after, fraction)

@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import is_gap
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.scans.clouds import GAP_S, Clouds
+from turtlebag.pipeline.slam.scans.align import NEIGHBOURS
+from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correlative import Field, best_pose, make_field
 from turtlebag.pipeline.slam.scans.scans import Scans
 
@@ -82,8 +84,7 @@ class Tracker:
                     source = self._placed[scan].source
                     self._placed[scan] = replace(placed, T_track_base=pose, source=source, revised=())
             # the motion across a gap does not predict the next step
-            gap = abs(wait_s) > GAP_S
-            self.velocity = np.zeros(3) if gap else between(self.pose, placed.T_track_base)
+            self.velocity = np.zeros(3) if is_gap(wait_s) else between(self.pose, placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
         self._placed.append(placed)
         if moved and placed.sure and self._has_matches(self.scan):
@@ -94,10 +95,14 @@ class Tracker:
         """Pose of the last scan (3,)."""
         return self.placed.T_track_base
 
-    def last_keys(self, n: int) -> tuple[NDArray[np.int64], Array]:
+    def last_keys(self, n: int = NEIGHBOURS) -> tuple[NDArray[np.int64], Array]:
         """The last n key scans, (k,), and their poses, (k, 3)."""
         keys = self.keys[-n:]
         return np.array(keys), np.array([self.pose_of(key) for key in keys])
+
+    def field_keys(self) -> tuple[NDArray[np.int64], Array]:
+        """The key scans of the field, as in `last_keys`."""
+        return self.last_keys(FIELD_KEYS)
 
     def pose_of(self, scan: int) -> Array:
         """The current pose of a scan (3,)."""
@@ -117,7 +122,7 @@ class Tracker:
     def field(self) -> Field:
         """The last key scans as a field to search in."""
         if self._field is None:
-            self._field = make_field(self.clouds, *self.last_keys(FIELD_KEYS), FIELD_M)
+            self._field = make_field(self.clouds, *self.field_keys(), FIELD_M)
         return self._field
 
     def track(self, first: int = 0) -> Track:

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, compose
-from turtlebag.pipeline.slam.graph.drift import reach, read_at
+from turtlebag.pipeline.slam.graph.drift import read_at, sigma_m
 from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
 from turtlebag.pipeline.slam.graph.isam2 import GrowingGraph, without
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig, LoopFinder, step_lengths
 from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 
 # At most this many keys wait for their loops; each takes up to five scans, by which the graph lags behind.
 WAITING = 8
@@ -82,8 +81,7 @@ class GrowingLoops(LoopFinder):
         return needed
 
     def _sigma(self, i: int) -> float:
-        covariance = self.ways(0)[i]
-        return float(reach(read_at(covariance, self.poses[i]))[0]) / SIGMAS
+        return float(sigma_m(read_at(self.ways(0)[i], self.poses[i])))
 
     def _close(self, loop: Loop) -> None:
         constraint = self.config.constraint(loop)

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import nanoseconds
+from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, ImuLog, LidarSpec, Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, known_motion, make_clouds
+from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
 
 # Odometry samples kept from before the start of a sweep.

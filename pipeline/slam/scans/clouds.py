@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.deskew import deskewed
-from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.threads import in_parts
 from turtlebag.datasets.types import NOTHING_M, Recording
@@ -24,15 +24,6 @@ from turtlebag.pipeline.slam.scans.range_noise import LEAST_M, RangeNoise, range
 # A scan with fewer points, or fewer points with a surface line, cannot be matched; nor are lines used if most
 # points have none: posts, table legs, thin trunks.
 MIN_LINES, LINE_SHARE = 8, 0.3
-# Number of instants, evenly spaced, at which the motion within a sweep is kept: a robot may stop turning
-# within one.
-KNOTS = 8
-# No robot drives faster than this many times what it hardly ever exceeds; any robot may drive and turn this
-# fast [m/s, rad/s], however rarely it does.
-FASTER, NEARLY_ALWAYS = 1.3, 0.98
-ANY_ROBOT = (1.0, 4.0)
-# Between scans further apart than this [s] nothing is known.
-GAP_S = 2.0
 # Returns up to this far apart [m], or this many beam spacings of a perpendicular hit, may lie on one surface:
 # at a grazing angle, those of a wall are far apart. With the reach in place of both, acapulco, the long
 # corridor and ACES get worse by up to a tenth.
@@ -74,6 +65,10 @@ class Clouds(NamedTuple):
     def lines(self, scan: int) -> int:
         """Points of one scan that have a surface line."""
         return int(np.count_nonzero(self.line_ok[self.starts[scan] : self.starts[scan + 1]]))
+
+    def has_lines(self, scan: int) -> bool:
+        """Whether a scan can be matched by lines at all."""
+        return self.lines(scan) >= MIN_LINES
 
     def placed_by(self, scan: int) -> Literal["lines", "points", "nothing"]:
         """Whether a scan is matched by lines or by points."""
@@ -136,63 +131,6 @@ def make_clouds(
 
     in_parts(prepare, len(readings))
     return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
-
-
-def fastest(moved: Array, seconds: Array) -> Array:
-    """Speeds (2,) [m/s, rad/s] that a robot never exceeds, from its motions (n, 2) over intervals (n,)
-    [s]."""
-    usual = np.quantile(moved / seconds[:, None], NEARLY_ALWAYS, axis=0)
-    return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
-
-
-def way_and_turn(steps: Array) -> Array:
-    """Distance [m] and turn [rad] of motions (n, 3), both unsigned, (n, 2)."""
-    return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])])
-
-
-def sweep_motion(recording: Recording) -> SE2 | None:
-    """Base poses (n, KNOTS) during each sweep relative to its start, by odometry; None without a stream or
-    where a sweep takes no time. The last one is that at the end of the sweep. Where the odometry jumps, the
-    motion of the previous sweep is used."""
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
-    if recording.odometry is None or len(recording.odometry) < 2 or sweep_s == 0.0:
-        return None
-    after_ns = nanoseconds(np.arange(KNOTS + 1) / KNOTS * sweep_s)
-    during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
-    T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
-    # a jump may end within a sweep and move its end only a little, so each part is checked
-    moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
-    part_s = np.full(len(moved), abs(sweep_s) / KNOTS)
-    too_far = moved > fastest(moved, part_s) * part_s[:, None]
-    jumps = too_far.reshape(len(T_odom_knots), -1).any(axis=1)
-    motion = T_odom_knots[:, :1].inverse() @ T_odom_knots[:, 1:]
-    return motion[np.maximum.accumulate(np.where(jumps, 0, np.arange(len(motion))))]
-
-
-def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
-    """As `sweep_motion`, from the poses of the scans themselves (n,), for logs without odometry.
-
-    A scan that is not corrected yet has the pose of the middle of its sweep, so the speed during the sweep is
-    the mean of those before and after.
-    """
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
-    waits = seconds(np.diff(recording.stamps_ns))
-    steps = T_track_base.steps()
-    known = (waits > 0.0) & (waits < GAP_S)
-    speed = np.where(known[:, None], steps / np.where(known, waits, 1.0)[:, None], 0.0)
-    around = np.concatenate([speed[:1], speed, speed[-1:]])
-    whole = 0.5 * (around[:-1] + around[1:]) * sweep_s
-    return SE2(whole[:, None] * (np.arange(1, KNOTS + 1) / KNOTS)[:, None])
-
-
-def known_motion(recording: Recording, motion: SE2 | None = None) -> SE2:
-    """`motion` (n, KNOTS), or that by odometry if it is None; zero where it is unknown, or where the lidar
-    takes all beams at once."""
-    if recording.lidar.time_increment != 0.0:
-        motion = sweep_motion(recording) if motion is None else motion
-        if motion is not None:
-            return motion
-    return SE2(np.zeros((len(recording), KNOTS, 3)))
 
 
 @njit(cache=True, nogil=True)

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 
 # The score of an unseen cell, 0..255.
 HIT, UNSEEN = 255, 128
+# The influence of a point, one cell wide as a Gaussian, ends after this many cells.
+REACH = 3
 # Turns of a coarse search [rad].
 TURN_RAD = 0.03
 
@@ -37,11 +38,10 @@ def make_field(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: Array, resol
     points = points_in_map(clouds.points, clouds.starts, np.asarray(keys, dtype=np.int64), T_map_keys)
     if len(points) == 0:
         return Field(np.full((1, 1), UNSEEN, dtype=np.uint8), np.zeros(2), resolution)
-    margin = (SIGMAS + 2.0) * resolution
+    margin = (REACH + 2.0) * resolution
     corner = points.min(axis=0) - margin
     cols, rows = np.ceil((points.max(axis=0) + margin - corner) / resolution).astype(int) + 1
-    reach = math.ceil(SIGMAS)
-    offsets = np.arange(-reach, reach + 1)
+    offsets = np.arange(-REACH, REACH + 1)
     stamp = np.exp(-0.5 * (offsets[:, None] ** 2 + offsets[None, :] ** 2))
     values = np.full((rows, cols), UNSEEN, dtype=np.uint8)
     _see_through(values, clouds, np.asarray(keys, dtype=np.int64), T_map_keys, corner, resolution)
@@ -50,7 +50,7 @@ def make_field(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: Array, resol
 
 
 def best_pose(
-    field: Field, points: Array, center: Array, window_m: float, window_rad: float, step_rad: float
+    field: Field, points: Array, center: Array, window_m: float, window_rad: float, step_rad: float = TURN_RAD
 ) -> tuple[Array, float]:
     """Best pose (3,) about `center` and its score (0..1); ties go to the pose nearest the centre.
 

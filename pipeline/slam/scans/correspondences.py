@@ -14,8 +14,11 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.point_to_line import Jacobian, linearise
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
 
+# The number of points of one scan among thousands.
+MOST_POINTS = 400
+# Gate and kernel are at least this many standard deviations of a point's noise wide.
+SIGMAS = 3.0
 # A point is searched within this many bearings to either side.
 MAX_HALF_WINDOW = 10
 # Surfaces whose normals agree by less than this (cosine) are different surfaces.
@@ -25,15 +28,34 @@ MIN_NORMAL_DOT = 0.6
 class Limits(NamedTuple):
     """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of the robust kernel,
     where there is one. An alignment ends after `iterations`; with none, it returns the fit at the start.
-    Scans with more than `most_points` may be thinned to every second, third, ... point."""
+    Scans with more than `most_points` are thinned to every second, third, ... point."""
 
     gate: float
     sigma: float
     iterations: int = 15
     most_points: int = 10**6
 
+    @staticmethod
+    def rough() -> Limits:
+        """For rough poses."""
+        return ROUGH
 
-# For rough poses, and for good ones.
+    @staticmethod
+    def fine() -> Limits:
+        """For good poses."""
+        return FINE
+
+    @staticmethod
+    def between(progress: float) -> Limits:
+        """From rough (0) to fine (1), by equal factors."""
+        gate = ROUGH.gate * (FINE.gate / ROUGH.gate) ** progress
+        return Limits(gate, ROUGH.sigma * (FINE.sigma / ROUGH.sigma) ** progress)
+
+    def of_one_scan(self, iterations: int) -> Limits:
+        """For one scan among thousands: so many iterations, with a part of its points."""
+        return self._replace(iterations=iterations, most_points=MOST_POINTS)
+
+
 ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
 
 
@@ -132,7 +154,7 @@ def equation(
     inv_s2: float,
     reach: float,
 ) -> tuple[float, float, Jacobian]:
-    """`linearise` of point `r` and the line of a row: e [m], w [1/m^2], j. No weight where there is no line
+    """`linearise` of point `r` and the line of a row: e, w/s^2, j. No weight where there is no line
     (-1), where the two surfaces face different ways, or where they are farther apart than `reach` [m]."""
     if row < 0:
         return 0.0, 0.0, (0.0, 0.0, 0.0)

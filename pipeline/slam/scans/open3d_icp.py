@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.open3d_loader import open3d
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.scans.clouds import MIN_LINES, point_information
-from turtlebag.pipeline.slam.scans.open3d_loader import open3d
+from turtlebag.pipeline.slam.scans.clouds import point_information
 
+# Fewer points matched are no match.
+LEAST_MATCHES = 8
 # Standard deviation of a point on a post, because it is seen from different sides.
 POINT_SIGMA_M = 0.02
 
@@ -47,7 +49,7 @@ def match_points(
     )
     pose = SE2.from_matrix(np.asarray(result.transformation)).xyt
     matched = source[np.asarray(result.correspondence_set).reshape(-1, 2)[:, 0]]
-    if len(matched) < MIN_LINES:
+    if len(matched) < LEAST_MATCHES:
         return PointMatch(pose, 0.0, 0.0, np.zeros((3, 3)))
     information = point_information(matched) / POINT_SIGMA_M**2
     return PointMatch(pose, float(result.fitness), float(result.inlier_rmse), information)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -12,7 +13,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.point_to_line import add_equation, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.threads import in_parts
-from turtlebag.pipeline.slam.scans.align import direction_var, observable, safe_solve
+from turtlebag.pipeline.slam.scans.align import NEIGHBOURS, direction_var, observable, possible, safe_solve
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.scans.open3d_icp import match_points
@@ -29,8 +30,13 @@ def partner_radius(clouds: Clouds) -> float:
     return max(RADIUS_M, float(np.median(ranges))) if len(ranges) else RADIUS_M
 
 
+def alike_within(radius: float) -> int:
+    """The keys before and after one that see the same as it, where partners are up to `radius` [m] apart."""
+    return round(ALIKE * radius / RADIUS_M)
+
+
 def overlapping_pairs(
-    T_map_keys: SE2, radius: float, neighbours: int, alike: int = ALIKE
+    T_map_keys: SE2, radius: float = RADIUS_M, neighbours: int = NEIGHBOURS, alike: int = ALIKE
 ) -> NDArray[np.int64]:
     """Pairs (n, 2), i < j, of nearby keys: each key with its two successors in time and its nearest ones.
     These are spread over all visits to the place: once a key is taken, those up to `alike` before and after
@@ -58,13 +64,26 @@ def overlapping_pairs(
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
 
+class PairMatches(NamedTuple):
+    """Per pair (i, j): T_i_j (n, 3), its information by the points (n, 3, 3), overlap 0..1 (n,)."""
+
+    T_i_j: Array
+    information: Array
+    overlap: Array
+
+    @property
+    def possible(self) -> NDArray[np.bool_]:
+        """Which pairs match at all."""
+        return possible(self.overlap)
+
+
 def match_pairs(
     clouds: Clouds,
     keys: NDArray[np.int64],
     T_map_keys: SE2,
     pairs: NDArray[np.int64],
     limits: Limits,
-) -> tuple[Array, Array, Array]:
+) -> PairMatches:
     """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
     found = in_parts(
         lambda part: linearise_pairs(clouds, keys, T_map_keys.xyt, pairs[part], limits),
@@ -80,7 +99,7 @@ def match_pairs(
             match = match_points(clouds.of(keys[j]), clouds.of(keys[i]), start[k], limits.gate)
             relative[k], information[k] = match.T_target_source, match.information
             overlap[k] = match.overlap
-    return relative, information, overlap
+    return PairMatches(relative, information, overlap)
 
 
 @njit(cache=True, nogil=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from turtlebag.datasets.robust import PER_MEDIAN
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording
 
@@ -19,10 +20,6 @@ from turtlebag.datasets.types import Recording
 LEAST_M = 0.003
 # Number of scans used; ratio of successive bins of ranges; triples that make a bin count.
 SCANS, BIN_FACTOR, LEAST_TRIPLES = 400, 1.5, 100
-# Nearly all errors lie within this many standard deviations; in the plane, 99 positions of 100.
-SIGMAS = 3.0
-# Ratio of a Gaussian's standard deviation to the median of its absolute value.
-PER_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True)
@@ -40,6 +37,11 @@ class RangeNoise:
     def variance(self, ranges: Array) -> Array:
         """Variance [m^2] of ranges of any shape [m]."""
         return self.floor_m**2 + (self.per_m * ranges) ** 2 + (self.per_m2 * ranges**2) ** 2
+
+    @property
+    def least(self) -> bool:
+        """Whether a metre is as accurate as any range can be."""
+        return bool(self.variance(np.array(1.0)) <= 1.1 * LEAST_M**2)
 
 
 def range_noise(recording: Recording, usable_range: float) -> RangeNoise:

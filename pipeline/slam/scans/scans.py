@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, KeyScans, make_clouds, sweep_motion
+from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, KeyScans, make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 
 

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.robust import cauchy_weight, sigma_by_median
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import ImuLog, Recording, Trajectory
-from turtlebag.pipeline.slam.odometry.calibration import GROSS, ODOMETRY_SHARE
-from turtlebag.pipeline.slam.scans.align import CAUCHY
-from turtlebag.pipeline.slam.scans.range_noise import PER_MEDIAN, SIGMAS
+from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, gross
 
 # A gyro with a longer period or longer gaps than this is not used across them [s].
 HOLE_S = 0.1
@@ -27,6 +26,8 @@ FEWEST, TURNING_RAD = 8, 0.8
 # [rad], to which ODOMETRY_SHARE of the turn and per metre is added.
 BIAS, NOISE_RAD = 0.01, 0.01
 USUAL = np.array([BIAS, ODOMETRY_SHARE, ODOMETRY_SHARE])
+# The errors of a credible gyro are at most this many of these.
+LIKELY_SIGMAS = 3.0
 # The wheels slip in a turn that is this many standard deviations (by the median) off the gyro's, and by this
 # share of it.
 SLIP_SIGMAS = 6.0
@@ -46,7 +47,7 @@ def with_gyro(recording: Recording) -> Recording:
         return recording
     expected, known = _expected(gyro, steps, stamps, *trusted)
     left = np.abs(wrap(steps[:, 2] - expected))
-    least = max(SLIP_SIGMAS * PER_MEDIAN * float(np.median(left[known])), NOISE_RAD)
+    least = max(SLIP_SIGMAS * float(sigma_by_median(left[known])), NOISE_RAD)
     # stamps of gyro and wheels are never quite the same, so they differ where turning starts or ends
     change = np.abs(np.diff(expected, prepend=expected[:1], append=expected[-1:]))
     late = LATE_SHARE * np.maximum(change[:-1], change[1:])
@@ -82,7 +83,7 @@ def _trusted(gyro: GyroTurns, steps: Array, stamps_ns: NDArray[np.int64]) -> tup
     for sign in (1.0, -1.0):
         found = gyro_errors(sign * turns[known], steps[known], waits[known])
         expected, _ = _expected(gyro, steps, stamps_ns, sign, found)
-        likely = bool(np.all(np.abs(found) < SIGMAS * USUAL))
+        likely = bool(np.all(np.abs(found) < LIKELY_SIGMAS * USUAL))
         if likely and _agrees(expected[known], steps[known, 2]):
             return sign, found
     return None
@@ -136,17 +137,17 @@ def gyro_errors(turns: Array, steps: Array, waits: Array) -> Array:
     found: Array = np.zeros(3, dtype=np.float64)
     for _ in range(10):
         left = error - rows @ found
-        weight = 1.0 / (NOISE_RAD**2 * (1.0 + (left / (CAUCHY * NOISE_RAD)) ** 2))
+        weight = cauchy_weight((left / NOISE_RAD) ** 2) / NOISE_RAD**2
         normal = rows.T @ (weight[:, None] * rows) + np.diag(USUAL**-2)
         found = np.asarray(np.linalg.solve(normal, rows.T @ (weight * error)), dtype=np.float64)
     return found
 
 
 def _agrees(turns: Array, odometry: Array) -> bool:
-    """Whether the odometry takes part in the gyro's turns, within GROSS: slipping wheels turn alone."""
+    """Whether the odometry takes part in the gyro's turns; slipping wheels turn alone."""
     turned = np.abs(turns)
     missed = np.minimum(np.abs(turns - odometry), turned)
-    return bool(turned.sum() > TURNING_RAD and missed.sum() < GROSS * turned.sum())
+    return bool(turned.sum() > TURNING_RAD and not gross(missed.sum(), turned.sum()))
 
 
 def with_turns(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:

@@ -13,19 +13,18 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.odometry.calibration import GROSS
+from turtlebag.pipeline.slam.odometry.calibration import gross
 from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.sensors.turn_comparison import (
-    PERIOD_S,
-    SCANS,
-    STRETCHES,
+    thinning,
     tracked_alone,
-    usual_period,
 )
 
+# Number of stretches, and scans of each.
+STRETCHES, SCANS = 24, 8
 # A stretch is usable if the robot drove at least this far [m], and scans and odometry agree on the distance
-# to within GROSS; a third of the stretches must be usable.
+# to within a gross error; a third of the stretches must be usable.
 LEAST_WAY_M = 0.1
 # The stretches agree if their mean direction is at least this long: 0.94 to 1 in 34 logs with enough of them.
 AGREEING = 0.9
@@ -61,7 +60,7 @@ def yaw_error_deg(ways: NDArray[np.complex128]) -> float:
     """The yaw [deg] by which ways (n, 2) by scans and odometry differ, see `ways_of`; 0 also if unknown."""
     ways = ways.reshape(-1, 2)
     by_scans, by_odometry = ways[np.abs(ways[:, 1]) >= LEAST_WAY_M].T
-    usable = np.abs(np.abs(by_scans) - np.abs(by_odometry)) <= GROSS * np.abs(by_odometry)
+    usable = ~gross(np.abs(by_scans) - np.abs(by_odometry), np.abs(by_odometry))
     if np.count_nonzero(usable) < STRETCHES // 3:
         return 0.0
     turns = by_odometry[usable] / by_scans[usable]
@@ -78,7 +77,7 @@ def stretches(recording: Recording) -> list[NDArray[np.int64]]:
     """Scans of each of the stretches in which, by the odometry, the robot drives farthest and turns least."""
     T = recording.T_odom_base
     assert T is not None
-    apart = max(1, round(PERIOD_S / usual_period(recording)))
+    apart = thinning(recording)
     starts = np.arange(0, len(recording) - apart * SCANS, apart * SCANS)
     x, y, turn = (T[starts].inverse() @ T[starts + apart * (SCANS - 1)]).xyt.T
     straight = np.hypot(x, y) * np.cos(np.clip(2.0 * turn, -np.pi, np.pi))

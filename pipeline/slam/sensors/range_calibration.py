@@ -21,11 +21,10 @@ from turtlebag.datasets.point_to_line import linearise, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
 from turtlebag.pipeline.slam.odometry.track import Track
-from turtlebag.pipeline.slam.scans.align import NEIGHBOURS, STEP_COVARIANCE_SCALE
-from turtlebag.pipeline.slam.scans.clouds import UNSURE_RAD, Clouds
-from turtlebag.pipeline.slam.scans.correspondences import FINE, Limits, partner_line, relative_pose
-from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs
-from turtlebag.pipeline.slam.scans.range_noise import SIGMAS
+from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
+from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
+from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
 from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square
@@ -39,9 +38,11 @@ OFFSET_M, SHARE = 0.01, 0.01
 TURN_SHARE = 0.005
 # The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
-# Lines this many beams to either side must have the same direction: lines cut corners and bend round pillars,
-# the more so at a distance.
-BESIDE = 6
+# Errors smaller than this many standard deviations are none.
+SIGNIFICANT_SIGMAS = 3.0
+# Lines this many beams to either side must have the same direction, within this [rad]: lines cut corners and
+# bend round pillars, the more so at a distance.
+BESIDE, STRAIGHT_RAD = 6, 0.3
 # Surfaces met at a smaller sine than this say little about ranges.
 GRAZING_SINE = 0.25
 
@@ -111,16 +112,16 @@ def calibrate_ranges(
     Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
     error, to within OFFSET_M and SHARE of `usable_m`. An insignificant error counts as none.
     """
-    pairs = overlapping_pairs(T_track_keys, RADIUS_M, NEIGHBOURS)
+    pairs = overlapping_pairs(T_track_keys)
     prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
     value = np.zeros(2)
     for _ in range(ROUNDS):
         moved = RangeCalibration(*value).moved(clouds)
-        h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE)
+        h, g = _equations(moved, keys, T_track_keys.xyt, pairs, Limits.fine())
         value = value - np.linalg.solve(
             h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
         )
-    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGMAS**2
+    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGNIFICANT_SIGMAS**2
     return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
 
 
@@ -219,5 +220,5 @@ def straight_points(clouds: Clouds, keys: NDArray) -> NDArray:
             for beside in (row - BESIDE, row + BESIDE):
                 if out[row]:
                     dot = normals[beside, 0] * normals[row, 0] + normals[beside, 1] * normals[row, 1]
-                    out[row] = line_ok[beside] and dot > math.cos(UNSURE_RAD)
+                    out[row] = line_ok[beside] and dot > math.cos(STRAIGHT_RAD)
     return out

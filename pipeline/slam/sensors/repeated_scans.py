@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.scans.range_noise import LEAST_M, range_noise
+from turtlebag.pipeline.slam.scans.range_noise import range_noise
 
 # A robot that has moved this far by its odometry cannot measure exactly the same ranges again [m], [rad].
 MOVED = 0.05
@@ -37,5 +37,4 @@ def without_repeats(recording: Recording, usable_range: float) -> Recording:
 
 def _exact(recording: Recording, usable_range: float) -> bool:
     """Whether the ranges have no more noise than the least assumed for any lidar."""
-    noise = range_noise(recording, usable_range)
-    return bool(noise.variance(np.array(1.0)) <= 1.1 * LEAST_M**2)
+    return range_noise(recording, usable_range).least

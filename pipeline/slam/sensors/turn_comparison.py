@@ -15,22 +15,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.durations import nanoseconds, seconds
+from turtlebag.datasets.motion import fastest, known_motion, way_and_turn, without_gap
+from turtlebag.datasets.robust import cauchy_cost, sigma_by_median
 from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
-from turtlebag.pipeline.slam.scans.align import CAUCHY
-from turtlebag.pipeline.slam.scans.clouds import (
-    GAP_S,
-    USABLE_M,
-    fastest,
-    known_motion,
-    way_and_turn,
-)
-from turtlebag.pipeline.slam.scans.range_noise import PER_MEDIAN, RangeNoise, range_noise
+from turtlebag.pipeline.slam.scans.clouds import USABLE_M
+from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.gyro_slip import turns_with
 
@@ -87,7 +81,7 @@ def in_step(recording: Recording, timing: Timing) -> Recording:
         said = (
             "scans and odometry turn in opposite directions: assuming the laser is mounted the other way up"
         )
-        recording = replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, said))
+        recording = replace(recording, lidar=recording.lidar.turned_over(), notes=(*recording.notes, said))
     recording = _shifted(recording, late_s) if late_s != 0.0 else recording
     return replace(recording, turned_over=not turns_with(recording)) if over else recording
 
@@ -117,7 +111,7 @@ def compared_turns(recording: Recording) -> Timing:
         return Timing()
     stream = odometry_stream(recording)
     usual = usual_period(recording)
-    thin = slice(None, None, max(1, round(PERIOD_S / usual)))
+    thin = slice(None, None, thinning(recording))
     scans = replace(
         recording,
         stamps_ns=recording.stamps_ns[thin],
@@ -134,7 +128,7 @@ def compared_turns(recording: Recording) -> Timing:
         turns = compared(lidar, late_s)
         found, against = delay_of(turns)
         if against and not over:
-            lidar, over = turned_over(lidar), True
+            lidar, over = lidar.turned_over(), True
             continue
         settled = lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
         late_s = found
@@ -199,8 +193,8 @@ class Turns(NamedTuple):
     @property
     def sigma(self) -> float:
         """Standard deviation at the best delay [rad]."""
-        deviation = np.median(np.abs(self.off), axis=2).min() if len(self.stretch) else 0.0
-        return max(PER_MEDIAN * float(deviation), 1e-3)
+        least = sigma_by_median(self.off, axis=2).min() if len(self.stretch) else 0.0
+        return max(float(least), 1e-3)
 
     @property
     def alike(self) -> bool:
@@ -213,7 +207,7 @@ class Turns(NamedTuple):
     def costs(self, sigma: float) -> Array:
         """The costs of each stretch at each delay, (2, delays, STRETCHES)."""
         of_stretch = self.stretch[:, None] == np.arange(STRETCHES)
-        return np.asarray(np.log1p((self.off / (CAUCHY * sigma)) ** 2) @ of_stretch)
+        return np.asarray(cauchy_cost((self.off / sigma) ** 2) @ of_stretch)
 
     def least(self, sigma: float) -> Array:
         """The costs of each stretch at the delay at which both turn together best."""
@@ -241,7 +235,7 @@ def _starts(scans: Recording) -> list[int]:
     """First scans of the stretches in which the turning changes most, and the odometry does not jump."""
     assert scans.T_odom_base is not None
     waits, moved = seconds(np.diff(scans.stamps_ns)), way_and_turn(scans.T_odom_base.steps())
-    known = (waits > 0.0) & (waits < GAP_S)
+    known = without_gap(waits)
     starts = np.arange(0, len(scans) - SCANS, SCANS)
     if not len(starts) or not known.any():
         return []
@@ -279,7 +273,7 @@ def _turned(scans: Recording, noise: RangeNoise, lidar: LidarSpec, late_s: float
     track = tracked_alone(replace(scans, lidar=lidar), rows, noise, late_s)
     times = seconds(scans.stamps_ns[rows] - scans.stamps_ns[0])
     waits = np.diff(times)
-    known = np.convolve((waits > 0.0) & (waits < GAP_S) & track.usable[1:], np.ones(SPAN), "valid")
+    known = np.convolve(without_gap(waits) & track.usable[1:], np.ones(SPAN), "valid")
     yaw = np.unwrap(track.T_track_base.yaw)
     return np.column_stack([times[:-SPAN], times[SPAN:], yaw[SPAN:] - yaw[:-SPAN]])[known == SPAN]
 
@@ -299,6 +293,11 @@ def tracked_alone(
         imu=None,
     )
     return track_log(Scans(alone, USABLE_M, noise, known_motion(late)), TrackingConfig(), Lines)
+
+
+def thinning(recording: Recording) -> int:
+    """Every so many scans are PERIOD_S apart."""
+    return max(1, round(PERIOD_S / usual_period(recording)))
 
 
 def usual_period(recording: Recording) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
@@ -34,6 +35,23 @@ def free_space_violations(
         len(both_ways),
     )
     return np.asarray(np.fmax(*np.concatenate(found).reshape(2, -1)))
+
+
+def contradicts(violation: float, usual: float = 0.0) -> bool:
+    """Whether the mean share of violations between two visits says that they were not at one place, in a log
+    where such a share is usual."""
+    return violation > usual + MOST_VIOLATIONS
+
+
+def visits(xy: Array) -> NDArray[np.int64]:
+    """Pairs (n, 2) of positions (k, 2) that are visits of one place, in order."""
+    pairs = scipy.spatial.cKDTree(xy).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
+    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
+
+
+def thinned(pairs: NDArray[np.int64], times: int = 1) -> NDArray[np.int64]:
+    """Every second, third, ... of pairs (n, 2), if there are more than so many times MOST_PAIRS."""
+    return pairs[:: max(1, len(pairs) // (times * MOST_PAIRS))]
 
 
 def mean_violation(
