@@ -41,8 +41,11 @@ class Scans:
         return make_clouds(self.recording, self.usable_m, self.motion, self.noise, numbers)
 
     def of_keys(self, keys: NDArray[np.int64]) -> KeyScans:
-        """The key scans (k,) alone, numbered anew."""
-        return KeyScans(self.clouds(keys), np.arange(len(keys)))
+        """The key scans (k,), numbered as in the recording; all others are empty."""
+        clouds, n = self.clouds(keys), len(self)
+        counts, table = np.zeros(n, np.int64), np.full((n, clouds.table.shape[1]), -1, np.int32)
+        counts[keys], table[keys] = np.diff(clouds.starts), clouds.table
+        return KeyScans(clouds._replace(starts=np.concatenate([[0], np.cumsum(counts)]), table=table), keys)
 
 
 def joined_keys(a: KeyScans, b: KeyScans) -> KeyScans:
