@@ -30,8 +30,8 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.slam.mapper import SlamConfig
-from turtlebag.pipeline.slam.online.log import heard
 from turtlebag.pipeline.slam.online.mapper import Mapper
+from turtlebag.pipeline.slam.online.memory import heard
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.teleop_scripts import Script, Step, commands

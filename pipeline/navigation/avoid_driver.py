@@ -7,6 +7,7 @@ from collections.abc import Callable
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
+from turtlebag.pipeline.navigation.goal_states import State, Suspension
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
 from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
@@ -47,7 +48,7 @@ class AvoidDriver(Driver):
             return self._last
         new_sweep = observation.scan is not None
         if self.sensing.blind:
-            self.state = "blind"
+            self.state = Suspension.BLIND.value
             self._avoidance.interrupted()
         wanted = self._avoidance.command(sweep, T_odom_base, self._last, new_sweep=new_sweep)
         if new_sweep:
@@ -59,7 +60,7 @@ class AvoidDriver(Driver):
         """Keep sensing during a teleop override; the task's clock runs on."""
         self.sensing.observe(observation)
         if observation.stamp_ns >= self._duration_ns:
-            self.finished, self.state = True, "done"
+            self.finished, self.state = True, State.DONE.value
 
     def resume(self, last: Twist) -> None:
         """Drive again, with nothing planned."""

@@ -8,6 +8,7 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
+from turtlebag.pipeline.navigation.goal_states import State
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 
@@ -52,7 +53,7 @@ class Driver(Task):
     """Base of the tasks. It never sees ground truth."""
 
     def __init__(self, sensing: Sensing) -> None:
-        self.sensing, self.state = sensing, "wait"
+        self.sensing, self.state = sensing, State.WAIT.value
         self.goal_index, self.finished = -1, False
         self.estimate: SE2 | None = None
         self._last = Twist()

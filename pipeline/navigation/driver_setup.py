@@ -26,7 +26,6 @@ from turtlebag.pipeline.navigation.drivers import (
 )
 from turtlebag.pipeline.navigation.goal_states import State
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
-from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.teleop_override import load_script
@@ -159,29 +158,27 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})
 
 
-Made = tuple[Task, OnlineLocaliser | None, GoalSequence | None]
-
-
 def make_driver(
     mission: Mission, first: Observation, publisher: BagWriter, say: Callable[[str], None]
-) -> Made:
-    """The driver of a mission, the localiser it uses and the goals it works through."""
+) -> Task:
+    """The driver of a mission, at the first observation."""
     request, config, robot = mission.request, mission.config, mission.robot
     kit = Kit(robot, config, request.seed, Sensing(robot.T_base_lidar), publisher)
     if is_own(request.task):
         task: Task = find(request.task, Task)(kit, mission)
-        return task, None, None
+        return task
     if request.task == "avoid":
-        return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say), None, None
+        return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say)
     if request.task == "explore":
         online = OnlineMap(robot.T_base_lidar, config.explore.slam)
-        return make_explorer(kit, online, request.duration_s or DEFAULT_EXPLORE_S), None, None
+        return make_explorer(kit, online, request.duration_s or DEFAULT_EXPLORE_S)
     sequence, T_odom_base = GoalSequence(mission.waypoints, config.sequence), first.odometry.T_odom_base
     if mission.grid is None or mission.costmap is None:
-        return make_mapless(kit, T_odom_base, sequence), None, sequence
+        return make_mapless(kit, T_odom_base, sequence)
     wiggles = request.initial_pose is not None and (request.wiggle or request.initial_pose == "global")
     state = State.WIGGLE if wiggles else State.WAIT
-    driver, localiser = make_navigator(kit, mission.grid, mission.costmap, sequence, state)
-    localiser.tell(request.initial_pose, T_odom_base)
+    driver = make_navigator(kit, mission.grid, mission.costmap, sequence, state)
+    assert driver.localiser is not None
+    driver.localiser.tell(request.initial_pose, T_odom_base)
     publisher.map(first.stamp_ns, mission.grid)
-    return driver, localiser, sequence
+    return driver

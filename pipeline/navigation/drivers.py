@@ -73,8 +73,8 @@ class Kit:
 
 def make_navigator(
     kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.WAIT
-) -> tuple[NavigationDriver, OnlineLocaliser]:
-    """A driver on a map, and its localiser, not yet initialised."""
+) -> NavigationDriver:
+    """A driver on a map, whose localiser is not yet initialised."""
     config, robot = kit.config, kit.robot
     lidar = robot.lidar.spec(config.sim.lidar.turning)
     parts = grid, lidar, robot.T_base_lidar, config.amcl
@@ -92,7 +92,7 @@ def make_navigator(
         tools,
         GuardedAvoidance(robot.model, memory),
     )
-    return NavigationDriver(tools, kit.sensing, sequence, memory, relocaliser), localiser
+    return NavigationDriver(tools, kit.sensing, sequence, memory, relocaliser)
 
 
 def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:

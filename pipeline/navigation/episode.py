@@ -17,6 +17,7 @@ from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S, Mission, make_driver
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import measured
+from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.status_lines import News
 from turtlebag.pipeline.navigation.teleop_override import CommandOwner, Interval, Script, Source, load_script
@@ -69,7 +70,10 @@ def drive(
     observation = simulator.reset(mission.request.start)
     bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
     with known_truth(lambda scan: simulator.scan_truth):
-        driver, localiser, sequence = make_driver(mission, observation, bag, say)
+        driver = make_driver(mission, observation, bag, say)
+    navigator = driver if isinstance(driver, NavigationDriver) else None
+    sequence = None if navigator is None else navigator.sequence
+    localiser = None if navigator is None else navigator.localiser
     owner = _owner(driver, mission, overrides)
     recorder = RunRecorder(simulator, bag)
     while True:

@@ -15,6 +15,7 @@ from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.bump_reflex import BumpReflex
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
+from turtlebag.pipeline.navigation.goal_states import State, Suspension
 from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
@@ -56,6 +57,7 @@ class ExploreDriver(Driver):
         self._memory = ObstacleMemory(tools.model)
         self._reflex = BumpReflex(self._memory)
         self._way: _Way | None = None
+        self._done = False
         self._spent: list[Array] = []
 
     @property
@@ -68,13 +70,13 @@ class ExploreDriver(Driver):
         now = observation.stamp_ns
         self.stand_by(observation)
         if not self.online.ready and now >= self._end_ns:
-            self.state = "done"  # no scan ever came: there is nothing to draw
-        if not self.online.ready or self.state == "done":
+            self._done = True  # no scan ever came: there is nothing to draw
+        if not self.online.ready or self._done:
             return self._stop(observation)
         if now >= self._end_ns:
             return self._finish(observation)
         if self.sensing.blind:
-            self.state = "blind"
+            self.state = Suspension.BLIND.value
             return self._stop(observation)
         sweep = None if observation.scan is None else self.sensing.sweep
         away = self._back_off(observation, sweep)
@@ -148,13 +150,15 @@ class ExploreDriver(Driver):
         return self._last
 
     def _finish(self, observation: Observation) -> Twist:
-        if self.state != "done":
+        if not self._done:
             self.tools.publisher.map(observation.stamp_ns, self.online.finish())
-        self.state = "done"
+        self._done = True
         return self._stop(observation)
 
     def _stop(self, observation: Observation) -> Twist:
         """Brake; the run is over when it was done and the robot stands."""
+        if self._done:
+            self.state = State.DONE.value
         self._last = self.tools.controller.brake(self._last)
-        self.finished = self.state == "done" and abs(observation.odometry.twist.v) <= STOPPED_V
+        self.finished = self._done and abs(observation.odometry.twist.v) <= STOPPED_V
         return self._last

@@ -187,7 +187,7 @@ class GoalRunner:
             if verdict is not None or machine.state is not State.FOLLOW:
                 return controller.brake(tick.last), verdict
         wanted = controller.command(tick.pose, tick.last, self.tools.obstacles.costmap)
-        self.state = controller.state
+        self.state = str(controller.state)
         return self._guarded(wanted, tick), self._held_up(tick, wanted)
 
     @property

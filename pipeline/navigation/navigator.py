@@ -13,6 +13,7 @@ from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
 from turtlebag.pipeline.navigation.goal_states import Action, Event, Machine, State, Suspension
 from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
+from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.goal_checker import STOPPED_V
@@ -23,6 +24,7 @@ PATIENCE_S = 30.0
 """Time without a scan after which the goals are given up (not measured)."""
 LOST = "the robot no longer knows where it is"
 ALIKE = "two places on the map look alike, and no reachable view distinguishes them"
+REASONS = {Action.REPORT_LOST: LOST, Action.REPORT_ALIASES: ALIKE}
 
 
 class NavigationDriver(Driver):
@@ -46,12 +48,19 @@ class NavigationDriver(Driver):
         self._doubts = 0  # how often the goal only seemed to have ended
         self._now = 0
 
+    @property
+    def localiser(self) -> OnlineLocaliser | None:
+        """What estimates the pose on the map; None without a map."""
+        return None if self.relocaliser is None else self.relocaliser.localiser
+
     def step(self, observation: Observation) -> Twist:
         """Localise, bring the machine to this tick's state, and do what that asks for."""
         now, relocaliser, machine = observation.stamp_ns, self.relocaliser, self.machine
         span_ns, self._now = now - self._now, now
         sweep, active = self.sensing.observe(observation), not self.sequence.finished
-        T_frame_odom = self._localise(observation)
+        if self.localiser is not None:
+            self.localiser.observe(observation)
+        T_frame_odom = self._frame(observation)
         if relocaliser is not None and not relocaliser.localiser.amcl.initialised:
             self.sequence.close_all("rejected", "no initial pose", now)
             return self._stop(Suspension.NO_POSE, finished=True)
@@ -61,7 +70,7 @@ class NavigationDriver(Driver):
             return self._wait_for_scan(now)
         if relocaliser is not None:
             relocaliser.update(observation, examine=active)
-            T_frame_odom = self._estimated(observation)
+            T_frame_odom = self._frame(observation)
             if machine.within(State.LOST) and active:
                 return self._find(relocaliser, observation, span_ns)
         if sweep is not None and T_frame_odom is not None:
@@ -98,10 +107,11 @@ class NavigationDriver(Driver):
     def stand_by(self, observation: Observation) -> None:
         """Keep localising and sensing during a teleop override; the goal's clock stops."""
         sweep = self.sensing.observe(observation)
-        if self.relocaliser is None or self.relocaliser.localiser.amcl.initialised:
-            T_frame_odom = self._localise(observation)
-            if sweep is not None and T_frame_odom is not None:
-                self._see(sweep, T_frame_odom, self.tools.obstacles)
+        if self.localiser is not None:
+            self.localiser.observe(observation)
+        T_frame_odom = self._frame(observation)
+        if sweep is not None and T_frame_odom is not None:
+            self._see(sweep, T_frame_odom, self.tools.obstacles)
         self.sequence.postpone(observation.stamp_ns - self._now)
         self._now = observation.stamp_ns
 
@@ -114,13 +124,13 @@ class NavigationDriver(Driver):
 
     def _perform(self, action: Action) -> None:
         """An action of the machine's table."""
-        relocaliser, goal = self.relocaliser, self.sequence.goal
         if action is Action.FORGET:
             self.tools.obstacles.clear()
-        elif action is Action.SPREAD and relocaliser is not None:
-            relocaliser.localiser.amcl.initialise_globally()
-        elif goal is not None:
-            self.sequence.close("unreachable", LOST if action is Action.REPORT_LOST else ALIKE, self._now)
+        elif action is Action.SPREAD:
+            assert self.relocaliser is not None
+            self.relocaliser.localiser.amcl.initialise_globally()
+        elif self.sequence.goal is not None:
+            self.sequence.close("unreachable", REASONS[action], self._now)
 
     def _wait_for_scan(self, now: int) -> Twist:
         """Stand still; goals still time out, and are given up if the lidar stays silent."""
@@ -153,18 +163,15 @@ class NavigationDriver(Driver):
         self.goal_index = self.sequence.index if goal is not None else -1
         return goal
 
-    def _localise(self, observation: Observation) -> SE2 | None:
-        """The odometry frame in the frame of goals and costmap; None while it is unknown."""
-        if self.relocaliser is None:
-            return SE2.identity()
-        self.relocaliser.localiser.observe(observation)
-        return self._estimated(observation)
+    def _frame(self, observation: Observation) -> SE2 | None:
+        """The odometry frame in the frame of goals and costmap; None while it is unknown.
 
-    def _estimated(self, observation: Observation) -> SE2 | None:
-        """The same, by the localiser's pose, which jumps when the estimate is moved to another place."""
-        assert self.relocaliser is not None
-        self.estimate = self.relocaliser.localiser.T_map_base(observation.odometry.T_odom_base)
-        return self.relocaliser.localiser.T_map_odom
+        It jumps when the localiser's estimate is moved to another place.
+        """
+        if self.localiser is None:
+            return SE2.identity()
+        self.estimate = self.localiser.T_map_base(observation.odometry.T_odom_base)
+        return self.localiser.T_map_odom
 
     def _pursue(self, goal: SE2, observation: Observation, pose: SE2) -> Twist:
         """The next step to a goal; one in an obstacle or off the map is rejected."""

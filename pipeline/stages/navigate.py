@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
@@ -26,6 +25,7 @@ from turtlebag.pipeline.stages.record import save_truth
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
 from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
 from turtlebag.planners.costmap import area_mask
+from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
@@ -113,7 +113,7 @@ def _write(folder: Path, episode: Episode, simulator: Simulator) -> None:
     save_truth(folder / "truth", episode.truth, simulator.world, simulator.robot)
 
 
-def _report(mission: Mission, metrics: Mapping[str, Any], interrupted: Sequence[int], out: Path) -> None:
+def _report(mission: Mission, metrics: RunMetrics, interrupted: Sequence[int], out: Path) -> None:
     """When the robot was kidnapped, and how the run ended."""
     for when, x, y, yaw in mission.config.sim.faults.kidnap:
         if when <= metrics["time_s"]:

@@ -142,8 +142,7 @@ class Pilot(Driver):
     @property
     def localiser(self) -> OnlineLocaliser | None:
         """That of the navigation; None without a map."""
-        relocaliser = None if self.navigation is None else self.navigation.relocaliser
-        return None if relocaliser is None else relocaliser.localiser
+        return None if self.navigation is None else self.navigation.localiser
 
     @property
     def T_map_odom(self) -> SE2:
@@ -170,7 +169,7 @@ class Pilot(Driver):
     def load(self, grid: OccupancyGrid, costmap: Costmap, now_ns: int) -> None:
         """Go by this map from now on; no pose on it is known, and what was mapped here is forgotten."""
         idle = GoalSequence((), self.kit.config.sequence)
-        self.navigation, _ = make_navigator(self.kit, grid, costmap, idle)
+        self.navigation = make_navigator(self.kit, grid, costmap, idle)
         self.mapper, self.mapping = None, False
         self.kit.publisher.map(now_ns, grid)
 

@@ -19,8 +19,8 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Scan, Stamps, Trajectory
 from turtlebag.pipeline.slam.graph.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
 from turtlebag.pipeline.slam.mapper import run_slam
-from turtlebag.pipeline.slam.online.log import heard
 from turtlebag.pipeline.slam.online.mapper import Mapper
+from turtlebag.pipeline.slam.online.memory import heard
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.inputs import LONGEST_BAG_S
 from turtlebag.pipeline.studio.library import Library

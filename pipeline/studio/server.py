@@ -4,26 +4,49 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import logging
+import math
 import socket
+import time
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
 from itertools import count
 from pathlib import Path
+from typing import TypeVar
 
 from tornado.httpserver import HTTPServer
-from tornado.ioloop import IOLoop
 from tornado.web import Application
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
+from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
-from turtlebag.pipeline.studio.inputs import Button, Control, Input, Layers, Malformed, Speed, parse_message
-from turtlebag.pipeline.studio.pace import Pace
+from turtlebag.pipeline.studio.inputs import (
+    DRIVING,
+    Button,
+    Control,
+    Drive,
+    Input,
+    Layers,
+    Malformed,
+    Plain,
+    Speed,
+    parse_message,
+)
+from turtlebag.pipeline.studio.pace import Pace, Pacer
 from turtlebag.pipeline.studio.session import Session
-from turtlebag.pipeline.studio.session_thread import SessionThread
 from turtlebag.pipeline.studio.socket_messages import Frames, bye, hello
 from turtlebag.pipeline.studio.view import View
+from turtlebag.sim.robots import PERIOD_S
 
 PAGE = Path(__file__).parent / "static"
+HEARTBEAT_S = 0.5
+"""Teleop stops the robot if the speed has not been repeated for this long."""
+FRAME_S = 0.1
+BUSY_S = 1.0
 MOST_VIEWERS = 16
 MESSAGES_A_SECOND = 60
 HELD_BYTES = 256 * 1024
@@ -35,34 +58,124 @@ IDLE_S = 30.0
 CLOSING_S = 1.0
 """So long the pages have to close in good order."""
 LOOK_S, EXCUSE_EVERY = 0.05, 10
-"""How often to look whether the session is over, and after how many looks to tell what keeps it."""
+"""How often to look at the clock and whether the session is over, and after how many looks to tell what
+keeps it."""
 REFUSED, TRY_LATER = 1008, 1013
 WATCHING = "You are watching. Take control to do that."
+Result = TypeVar("Result")
+log = logging.getLogger("turtlebag")
 
 
 class Studio:
-    """A session, its viewers, and the one that drives. Lives in the event loop's thread."""
+    """A session against the wall clock, its viewers, and the one that drives.
+
+    It lives in the event loop's thread. Only the session computes in another, one thing at a time: no locks
+    are needed, and the event loop answers meanwhile.
+    """
 
     def __init__(self, session: Session) -> None:
-        self._scene = session.scene
-        self._loop = IOLoop.current()
-        self.thread = SessionThread(session, self._show)
+        self._session = session
+        self._computer = ThreadPoolExecutor(1, "session")
+        self._pacer = Pacer(PERIOD_S)
+        self._inputs: deque[tuple[Viewer, Button | Speed | Input]] = deque()
+        self._asked = asyncio.Event()
+        self._over = False
+        self._doing = "", time.monotonic()
+        """What the session does, and since when."""
+        self._drive: Drive | None = None
+        self._driven = 0.0
+        """When a page last asked for that speed."""
         self._viewers: list[Viewer] = []
         self._driver: Viewer | None = None
         self._last: tuple[View, Pace] | None = None
+        self._view_due = 0.0
 
-    async def end(self, reason: str) -> None:
-        """Stop the time, tell everybody why, and close; raises what went wrong in the session."""
-        await asyncio.to_thread(self.thread.end)
+    async def run(self) -> None:
+        """Let the simulated time pass until the session ends; raises what goes wrong in it."""
+        session = self._session
+        try:
+            while not (self._over or session.ended):
+                await self._apply_inputs()
+                if self._drive is not None and time.monotonic() - self._driven > HEARTBEAT_S:
+                    await self._apply(Plain(do="stop"), log.warning)
+                if session.idle:
+                    self._pacer.take()  # a step at the end of a bag is not kept for later
+                elif self._pacer.wait_s() == 0.0:
+                    await self._compute("tick", self._advance)
+                if self._viewers and time.monotonic() >= self._view_due:
+                    self._view_due = max(self._view_due + FRAME_S, time.monotonic())
+                    await self._show()
+                await self._rest()
+            await self._show()
+        finally:
+            self._computer.shutdown(wait=False)
+
+    async def _compute(self, doing: str, function: Callable[[], Result]) -> Result:
+        """What a function of the session returns; `doing` is told to the viewers if it takes long."""
+        self._doing = doing, time.monotonic()
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._computer, function)
+        finally:
+            self._doing = "", time.monotonic()
+
+    async def _apply_inputs(self) -> None:
+        """All that is asked for by now. The same speed again only renews the heartbeat."""
+        self._asked.clear()
+        while self._inputs and not self._over:
+            viewer, asked = self._inputs.popleft()
+            if isinstance(asked, Button | Speed):
+                self._pacer.control(asked)
+            elif asked != self._drive:
+                await self._apply(asked, viewer.refuse)
+
+    async def _apply(self, entry: Input, refused: Callable[[str], None]) -> None:
+        """Every input reaches the session here; those it refuses are not recorded."""
+        try:
+            done = await self._compute(entry.do, partial(self._session.apply, entry))
+        except InputError as error:
+            log.debug("refused: %s", error)
+            refused(str(error))
+            return
+        log.debug("%.3f s: %s", seconds(self._session.stamp_ns), done)
+        if entry.do in (*DRIVING, "reset", "end"):
+            self._drive = entry if isinstance(entry, Drive) else None
+
+    def _advance(self) -> None:
+        """In the session's thread: the ticks that are due by now, until there is something else to do."""
+        until = min(time.monotonic() + LOOK_S, self._view_due if self._viewers else math.inf)
+        while not self._session.idle and self._pacer.take():
+            self._session.tick()
+            self._pacer.count(self._session.stamp_ns)
+            if self._over or self._session.ended or self._inputs or time.monotonic() > until:
+                return
+
+    async def _rest(self) -> None:
+        """Until the next tick is due, something is asked for, or it is time to look at the clock again."""
+        wait_s = None if self._session.idle else self._pacer.wait_s()
+        if wait_s != 0.0:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._asked.wait(), LOOK_S if wait_s is None else min(wait_s, LOOK_S))
+
+    async def _show(self) -> None:
+        view = await self._compute("", self._session.view)
+        self._last = view, self._pacer.pace(idle=self._session.idle)
+        self._tell(None)
+
+    def stop(self) -> None:
+        """Let `run` end after what is being computed."""
+        self._over = True
+        self._session.interrupt()
+        self._asked.set()
+
+    async def part(self, reason: str) -> None:
+        """Tell everybody why the session is over, and close."""
         for viewer in list(self._viewers):
             viewer.part(1001, reason)
-        patience = self._loop.time() + CLOSING_S
-        while self._viewers and self._loop.time() < patience:
+        patience = time.monotonic() + CLOSING_S
+        while self._viewers and time.monotonic() < patience:
             await asyncio.sleep(0.02)
         for viewer in list(self._viewers):
             viewer.drop()
-        if self.thread.failure is not None:
-            raise self.thread.failure
 
     def join(self, viewer: Viewer) -> None:
         """A page was opened; it drives if no other does."""
@@ -72,8 +185,7 @@ class Studio:
         self._viewers.append(viewer)
         self._driver = self._driver or viewer
         maps = () if self._last is None else self._last[0].maps
-        viewer.send(hello(self._scene, maps=maps, driver=self._driver is viewer))
-        self.thread.want_view()
+        viewer.send(hello(self._session.scene, maps=maps, driver=self._driver is viewer))
 
     def leave(self, viewer: Viewer) -> None:
         """A page was closed. If it drove, no page drives until one takes control."""
@@ -90,25 +202,17 @@ class Studio:
             self._driver = viewer
         elif viewer is not self._driver:
             viewer.error = WATCHING
-        elif isinstance(asked, Button | Speed):
-            self.thread.control(asked)
         else:
-            self.thread.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
-
-    def _show(self, view: View, pace: Pace) -> None:
-        """Called in the session's thread."""
-        self._loop.add_callback(self._send, view, pace)
-
-    def _send(self, view: View, pace: Pace) -> None:
-        self._last = view, pace
-        self._tell(None)
-        if self._viewers:
-            self.thread.want_view()
+            if isinstance(asked, Drive):
+                self._driven = time.monotonic()
+            self._inputs.append((viewer, asked))
+            self._asked.set()
 
     def excuse(self) -> None:
-        """Tell the viewers what the session is busy with, if it has not given a new view for a while."""
-        if (busy := self.thread.busy) is not None:
-            self._tell(busy)
+        """Tell the viewers what has kept the session for a while: `tick`, or the `do` of an input."""
+        doing, since = self._doing
+        if doing and time.monotonic() - since > BUSY_S:
+            self._tell(doing)
 
     def _tell(self, busy: str | None) -> None:
         if self._last is not None:
@@ -225,16 +329,19 @@ async def serve(
     limits = {"max_header_size": 16 * 1024, "max_body_size": 0}
     server = HTTPServer(application(studio, access, page, ping_s), idle_connection_timeout=IDLE_S, **limits)
     server.add_sockets(sockets)
-    studio.thread.start()
+    running = asyncio.create_task(studio.run())
     ready()
     for turn in count():
-        if interrupted or not studio.thread.running:
+        if interrupted or running.done():
             break
         if turn % EXCUSE_EVERY == 0:
             studio.excuse()
         await asyncio.sleep(LOOK_S)
     server.stop()
+    studio.stop()
     try:
-        await studio.end("the studio was stopped" if interrupted else "the session has ended")
+        await asyncio.wait([running])
+        await studio.part("the studio was stopped" if interrupted else "the session has ended")
+        running.result()
     finally:
         await server.close_all_connections()

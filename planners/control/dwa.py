@@ -17,7 +17,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.collision_monitor import moved
 from turtlebag.planners.control.controller import ACCELERATION_SHARE, Ramped, ramped
-from turtlebag.planners.control.pursuit import Pursuit
+from turtlebag.planners.control.pursuit import Phase, Pursuit
 from turtlebag.planners.costmap import COST_SCALING, Costmap, distance_field, inflated_cost_at
 from turtlebag.planners.footprint import (
     Field32,
@@ -133,7 +133,7 @@ class Dwa(Ramped):
         self.window, self.weights = numbers(config, model)
         super().__init__(model, period, max_v=self.window.max_v, max_w=self.window.max_w)
         self.samples = sample_footprint(model, 0.05)
-        self.state = "idle"
+        self.state: str = Phase.IDLE
         self._settler = Pursuit(model, period)
         self._path = SE2.identity(0)
         self._costmap: Costmap | None = None
@@ -144,7 +144,7 @@ class Dwa(Ramped):
         self._path = poses
         self._floor = None
         self._settler.set_path(poses)
-        self.state = "follow"
+        self.state = Phase.FOLLOW
 
     def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         """The next command: the best arc, or the settling on the goal."""
@@ -152,12 +152,12 @@ class Dwa(Ramped):
             return self.brake(last)
         gap = float(np.linalg.norm(self._path.xy[-1] - pose.xy))
         if gap < self.window.settle_distance:
-            if self._settler.state in ("turn", "follow"):
-                self._settler.state = "settle"
+            if self._settler.state in (Phase.TURN, Phase.FOLLOW):
+                self._settler.state = Phase.SETTLE
             command = self._settler.command(pose, last, costmap)
             self.state = self._settler.state
             return command
-        self.state = "follow"
+        self.state = Phase.FOLLOW
         return ramped(self._best_arc(pose, last, costmap), last, self.limits)
 
     def floor(self, pose: SE2, costmap: Costmap) -> ArcFloor:

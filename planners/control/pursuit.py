@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 
 import numpy as np
 
@@ -39,13 +40,27 @@ GAIN = 1.5
 [1/s]: slower than any of the robots can brake."""
 
 
+class Phase(StrEnum):
+    """What the controller is doing; the words are in the run log."""
+
+    IDLE = "idle"
+    TURN = "turn"
+    """Turning on the spot to the path."""
+    FOLLOW = "follow"
+    SETTLE = "settle"
+    """Steering for the goal itself."""
+    ALIGN = "align"
+    """Turning to the goal's yaw."""
+    ARRIVED = "arrived"
+
+
 class Pursuit(Ramped):
     """A controller (see turtlebag.planners.control.controller)."""
 
     def __init__(self, model: RobotModel, period: float) -> None:
         super().__init__(model, period)
         self.samples = sample_footprint(model)
-        self.state = "idle"
+        self.state: str = Phase.IDLE
         self._points = np.zeros((0, 2))
         self._lengths = np.zeros(0)
         self._goal = (0.0, 0.0, 0.0)
@@ -60,15 +75,15 @@ class Pursuit(Ramped):
         self._goal = (x, y, yaw)
         self._s = 0.0
         # A new path while driving: no stop, unless it leads elsewhere.
-        if not (same_goal and self.state == "follow"):
-            self.state = "turn"
+        if not (same_goal and self.state == Phase.FOLLOW):
+            self.state = Phase.TURN
 
     def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         """The next command; rotation on the spot, pursuit, or settling, by the state."""
         if len(self._points) < 2:
             return ramped(Twist(), last, self.limits)
         x, y, yaw = pose.xyt.tolist()
-        if self.state in ("turn", "follow"):
+        if self.state in (Phase.TURN, Phase.FOLLOW):
             target = self._along_path(x, y, yaw, last, costmap)
         else:
             target = self._onto_goal(x, y, yaw, last)
@@ -83,20 +98,20 @@ class Pursuit(Ramped):
         self._s, _ = project(self._points, self._lengths, x, y, self._s - least, self._s + 1.0)
         remaining = self.remaining()
         if remaining < SETTLE_M:
-            self.state = "settle"
+            self.state = Phase.SETTLE
             return self._onto_goal(x, y, yaw, last)
         room = self._room(x, y, yaw, costmap)
         # Near obstacles it must not cut corners.
         reach = min(max(abs(last.v) * LOOKAHEAD_S, least), most, least + 2.0 * max(room, 0.0))
         px, py = point_at(self._points, self._lengths, self._s + reach)
         bearing = wrapped(math.atan2(py - y, px - x) - yaw)
-        if self.state == "follow" and abs(bearing) > TURN_FIRST_RAD:
-            self.state = "turn"
-        if self.state == "turn":
+        if self.state == Phase.FOLLOW and abs(bearing) > TURN_FIRST_RAD:
+            self.state = Phase.TURN
+        if self.state == Phase.TURN:
             if abs(bearing) > TURNED_RAD:
                 rolling = abs(last.v) > STOPPED_V
                 return Twist(0.0, last.w * 0.5 if rolling else turning_speed(self.limits, bearing))
-            self.state = "follow"
+            self.state = Phase.FOLLOW
         distance = max(math.hypot(px - x, py - y), SETTLE_M)
         curvature = 2.0 * math.sin(bearing) / distance
         v = regulated_speed(self.limits, room, curvature, remaining)
@@ -111,12 +126,12 @@ class Pursuit(Ramped):
         distance = math.hypot(gx - x, gy - y)
         bearing = wrapped(math.atan2(gy - y, gx - x) - yaw)
         backwards = abs(bearing) > math.pi / 2.0
-        if self.state == "settle":
+        if self.state == Phase.SETTLE:
             steer = wrapped(bearing + math.pi) if backwards else bearing
             ahead = distance * math.cos(steer)
             # Done if near enough, or at the closest point of this straight run.
             if distance < SETTLED or (distance < RELEASE_M * 0.8 and ahead < 0.003):
-                self.state = "align"
+                self.state = Phase.ALIGN
             elif abs(steer) > TURNED_RAD and distance > SETTLED:
                 return Twist(0.0, turning_speed(self.limits, steer))
             else:
@@ -124,10 +139,10 @@ class Pursuit(Ramped):
                 return Twist(-v if backwards else v, GAIN * steer)
         error = wrapped(goal_yaw - yaw)
         if distance > RELEASE_M and abs(last.v) <= STOPPED_V:
-            self.state = "settle"
+            self.state = Phase.SETTLE
             return Twist()
-        self.state = "arrived" if abs(error) < SETTLED else "align"
-        return Twist(0.0, 0.0 if self.state == "arrived" else turning_speed(self.limits, error))
+        self.state = Phase.ARRIVED if abs(error) < SETTLED else Phase.ALIGN
+        return Twist(0.0, 0.0 if self.state == Phase.ARRIVED else turning_speed(self.limits, error))
 
 
 def regulated_speed(limits: SpeedLimits, room: float, curvature: float, remaining: float) -> float:

@@ -9,7 +9,7 @@ import turtlebag as tb
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.types import Imu, Trajectory
-from turtlebag.pipeline.slam.online.log import heard
+from turtlebag.pipeline.slam.online.memory import heard
 
 pytestmark = pytest.mark.slow
 

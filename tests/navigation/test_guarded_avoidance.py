@@ -130,14 +130,14 @@ def test_an_interrupted_guard_forgets_what_it_was_doing_and_not_what_it_knows():
 @pytest.mark.parametrize(("v", "left", "backs", "turns"), [(0.1, 2.0, -0.1, 0.5), (-0.1, 1.0, 0.1, -0.5)])
 def test_what_it_is_stuck_at_is_remembered_and_left_the_other_way(v, left, backs, turns):
     g, pose, sectors = avoidance(), SE2.from_xyt(1.0, 2.0, 0.5), Sectors(left, 2.0, 1.5)
-    found = pushing(g, v=v, now=3.0, pose=pose, sectors=sectors)
-    assert (found.command, g.turning) == (Twist(backs, 0.0), 0.0)
+    decision = pushing(g, v=v, now=3.0, pose=pose, sectors=sectors)
+    assert (decision.command, g.turning) == (Twist(backs, 0.0), 0.0)
     there = pose @ SE2.from_xyt(-0.25 if v > 0 else 0.25, 0.0, 0.0)
     for turned, action in ((0.0, "turn away"), (1.59, "turn away"), (1.61, "straight")):
         at = there @ SE2.from_xyt(0.0, 0.0, math.copysign(turned, turns))
-        found = g.decide(view(now=3.0, pose=at, sectors=sectors), at, Twist())
-        assert found.action == action
-        assert found.command == (Twist(0.0, turns) if action == "turn away" else Twist(0.2, 0.0))
+        decision = g.decide(view(now=3.0, pose=at, sectors=sectors), at, Twist())
+        assert decision.action == action
+        assert decision.command == (Twist(0.0, turns) if action == "turn away" else Twist(0.2, 0.0))
 
 
 def test_after_some_changes_of_the_freer_side_it_keeps_to_one_until_it_is_interrupted():
@@ -207,8 +207,8 @@ def test_what_touches_is_replaced_by_the_first_motion_that_does_not(
 ):
     g = avoidance()
     g.turning = before
-    found = g.possible(Decision("asked", command), np.array(posts))
-    assert (found.action, found.command, g.turning) == (instead, done, turning)
+    decision = g.possible(Decision("asked", command), np.array(posts))
+    assert (decision.action, decision.command, g.turning) == (instead, done, turning)
 
 
 def test_what_touches_nothing_is_done():

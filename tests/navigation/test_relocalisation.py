@@ -80,9 +80,9 @@ def test_a_robot_put_into_a_keepout_leaves_it_and_arrives(true_map):
 
 @pytest.mark.slow
 def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(true_map):
-    told = SE2.from_xyt(-2.9, -0.4, 0.5)
+    initial = SE2.from_xyt(-2.9, -0.4, 0.5)
     goal = SE2.from_xyt(-0.55, -0.55, 0.0)
-    episode = run(true_map, FaultConfig(), goal=goal, initial_pose=told, timeout_s=120.0)
+    episode = run(true_map, FaultConfig(), goal=goal, initial_pose=initial, timeout_s=120.0)
     assert "look" in episode.log.state
     assert episode.metrics["goals"][0]["status"] == "reached"
     assert episode.metrics["goals"][0]["error_m"] < 0.05
@@ -91,8 +91,8 @@ def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(true_map):
 
 @pytest.mark.slow
 def test_a_lost_robot_whose_goals_are_out_of_time_looks_for_itself_no_longer(house_map):
-    told, goal = SE2.from_xyt(-3.0, 1.0, 0.0), SE2.from_xyt(-3.0, 2.0, 0.0)
-    episode = run(house_map, FaultConfig(), goal=goal, initial_pose=told, timeout_s=8.0)
+    initial, goal = SE2.from_xyt(-3.0, 1.0, 0.0), SE2.from_xyt(-3.0, 2.0, 0.0)
+    episode = run(house_map, FaultConfig(), goal=goal, initial_pose=initial, timeout_s=8.0)
     assert "look" in episode.log.state
     assert episode.metrics["goals"][0]["status"] == "timeout"
     assert episode.log.state[-2] == "look"
@@ -101,8 +101,8 @@ def test_a_lost_robot_whose_goals_are_out_of_time_looks_for_itself_no_longer(hou
 
 @pytest.mark.slow
 def test_on_the_map_of_another_world_no_goal_counts_as_reached(house_map):
-    told, goal = SE2.from_xyt(-3.0, 1.0, 0.0), SE2.from_xyt(-3.0, 2.0, 0.0)
-    episode = run(house_map, FaultConfig(), 1, goal=goal, initial_pose=told, timeout_s=60.0, seed=0)
+    initial, goal = SE2.from_xyt(-3.0, 1.0, 0.0), SE2.from_xyt(-3.0, 2.0, 0.0)
+    episode = run(house_map, FaultConfig(), 1, goal=goal, initial_pose=initial, timeout_s=60.0, seed=0)
     assert episode.log.state.count("arrived") > 0
     (outcome,) = episode.metrics["goals"]
     assert (outcome["status"], outcome["reason"]) == ("unreachable", LOST)
@@ -168,8 +168,8 @@ def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place():
 
 def test_what_it_does_when_it_never_finds_out_is_bounded():
     task = watch(look=5.0, roam=10.0, restarts=2)
-    said = [task.update(k * S, False, False, k) for k in range(1, 60)]
-    turns = [a for a, b in zip(said, [None, *said], strict=False) if a != b]
+    states = [task.update(k * S, False, False, k) for k in range(1, 60)]
+    turns = [a for a, b in zip(states, [None, *states], strict=False) if a != b]
     assert turns[:10] == ["wait", *["look", "roam", "restart"] * 2, "look", "roam", "give_up"]
     # From then on it may drive, and doubts again: the next goal gets as many tries.
     assert turns[10:12] == ["wait", "look"]

@@ -6,7 +6,7 @@ Words of a command, and how its line goes on after `turtlebag: `; an ellipsis st
 import pytest
 
 from tests.helpers.refusals import require_refused
-from tests.helpers.report_fakes import fake_map, fake_plan, fake_record, rehash
+from tests.helpers.report_fakes import fake_map, fake_plan, fake_record, rehash, undrawn
 
 MANIFESTS = ("", "[1]", "{}", '{"stage": 3}', '{"stage": "soup"}', "\udcff")
 PATHS = ("", "x,y\n1,2\n", "x,y,yaw\n1,2,three\n")
@@ -14,7 +14,7 @@ STAGES = {
     "report empty": "...empty... manifest.json...",
     **{f"report manifest{k}": "...manifest.json..." for k in (0, 1, 2, 3, 5)},
     "report manifest4": "manifest4: is a soup output; a report shows record, map, localise, plan, ...",
-    **{f"report map plan{k}": "...path.csv..." for k in range(len(PATHS))},
+    **{f"report map plan{k} --no-animation": "...path.csv..." for k in range(len(PATHS))},
     "report map --system-shift 1": "...there is no other system...",
     "report map record hall --system map.tum": "...belongs to one recording...",
     "report record --system map.tum": "...other systems are compared with an output of map...",
@@ -80,4 +80,5 @@ def place(tmp_path_factory):
 @pytest.mark.parametrize("words", REFUSED)
 def test_what_cannot_be_reported_is_one_line_that_says_why(place, monkeypatch, capsys, words):
     monkeypatch.chdir(place)
-    require_refused(words, REFUSED[words], place, capsys)
+    with undrawn():
+        require_refused(words, REFUSED[words], place, capsys)

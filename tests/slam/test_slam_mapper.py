@@ -17,10 +17,9 @@ from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.odometry.track import TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import Tracker, track_log
 from turtlebag.pipeline.slam.odometry.wheels import Wheels
-from turtlebag.pipeline.slam.online.clouds import GrowingClouds
-from turtlebag.pipeline.slam.online.log import GrowingLog, heard
 from turtlebag.pipeline.slam.online.loops import GrowingLoops
 from turtlebag.pipeline.slam.online.mapper import Kept, Mapper
+from turtlebag.pipeline.slam.online.memory import GrowingLog, GrowingScans, heard
 from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
 from turtlebag.pipeline.slam.scans.scans import Scans
@@ -57,7 +56,7 @@ def errors(poses, true):
 
 
 def grown(upto):
-    growing = GrowingClouds(NOISE)
+    growing = GrowingScans(8.0, NOISE)
     for k in range(upto):
         one = replace(
             LOG,
@@ -65,7 +64,7 @@ def grown(upto):
             ranges=LOG.ranges[k : k + 1],
             T_odom_base=LOG.T_odom_base[k : k + 1],
         )
-        growing.append(one, 8.0, None)
+        growing.append(one, k)
     return growing
 
 

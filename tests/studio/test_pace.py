@@ -1,13 +1,10 @@
 """When ticks are due, by a clock that stands still unless it is moved."""
 
-import queue
-
 import pytest
 
-from tests.studio.fakes import PERIOD_NS, FakeSession
+from tests.studio.fakes import PERIOD_NS, FakeSession, Served, connect, run
 from turtlebag.pipeline.studio.inputs import Button, Speed
 from turtlebag.pipeline.studio.pace import LATE_S, Pace, Pacer
-from turtlebag.pipeline.studio.session_thread import SessionThread
 
 PERIOD_S = 1 / 32
 """Binary fractions add up without a rest."""
@@ -93,27 +90,24 @@ def test_a_short_delay_is_caught_up_with_and_a_long_one_given_up(clock):
     assert clock.over(1.0) == pytest.approx(32, abs=1)
 
 
+@pytest.mark.slow
 def test_a_step_at_the_end_of_a_bag_is_not_kept_for_later():
-    session, shown = FakeSession(), queue.Queue()
-    thread = SessionThread(session, lambda view, pace: shown.put(pace))
-
-    def look():
-        thread.want_view()
-        return shown.get(timeout=10.0)
-
+    session = FakeSession()
     session.idle = True
-    for do in ("pause", "step", "step"):
-        thread.control(Button(do=do))
-    thread.start()
-    try:
-        assert look().paused
-        look()
+
+    async def step():
+        client = await connect(served.url)
+        for do in ("pause", "step", "step"):
+            client.ask(do)
+        await client.until(lambda p: p.head.get("paused"))
+        await client.read_for(0.3)
         session.idle = False
-        look()
+        await client.read_for(0.3)
         assert session.stamp_ns == 0
-        thread.control(Button(do="step"))
-        look()
-        look()
-    finally:
-        thread.end()
+        client.ask("step")
+        await client.until(lambda p: p.head["t"] > 0.0)
+        await client.read_for(0.3)
+
+    with Served(session) as served:
+        run(step())
     assert session.stamp_ns == PERIOD_NS

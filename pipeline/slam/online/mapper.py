@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.graph.factors import Constraint
@@ -29,10 +28,8 @@ from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.odometry.front_ends import front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.tracker import FIELD_KEYS, Tracker
-from turtlebag.pipeline.slam.online.clouds import GrowingClouds
-from turtlebag.pipeline.slam.online.columns import Columns
-from turtlebag.pipeline.slam.online.log import GrowingLog
 from turtlebag.pipeline.slam.online.loops import GrowingLoops
+from turtlebag.pipeline.slam.online.memory import Columns, GrowingLog, GrowingScans
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.range_noise import SCANS, range_noise
 
@@ -70,9 +67,7 @@ class Mapper:
         """How far each closed loop moved the robot [m]."""
         self._log = GrowingLog(lidar, T_base_lidar)
         self._usable = self.config.usable(lidar)
-        self._clouds = GrowingClouds()
-        # of each scan with a cloud: number in the log, odometry, stamp, motion during the sweep
-        self._prepared = Columns()
+        self._scans = GrowingScans(self._usable)
         # of every scan of the log: the number of the last key, and the scan's pose relative to it
         self._by_key = Columns()
         self._tracker: Tracker | None = None
@@ -90,13 +85,13 @@ class Mapper:
         of the sweep (stamps must increase); the same kind, or none, for every scan. `imu` likewise.
         """
         self._log.append(scan, odometry, imu)
-        self._append(self._log.last())
+        self._append()
         tracker = self._tracker
         if tracker is None or self._loops is None:
             self._begin()
         else:
             self._extend(tracker)
-            stamps = self._prepared["stamp_ns"]
+            stamps = self._scans["stamp_ns"]
             tracker.step(seconds(int(stamps[-1] - stamps[-2])))
             self._judge(tracker)
             self._revise(tracker)
@@ -105,7 +100,7 @@ class Mapper:
         assert self._loops is not None
         T_key_scan = between(self._tracker.pose_of(self._tracker.keys[-1]), self._tracker.pose)
         self._by_key.append(key=np.array([len(self._tracker.keys) - 1]), T_key_scan=T_key_scan[None])
-        if len(self._prepared) - len(self._tracker.keys) >= self._kept.tidy_scans + self._kept.last_scans:
+        if len(self._scans) - len(self._tracker.keys) >= self._kept.tidy_scans + self._kept.last_scans:
             self._tidy(self._tracker, self._loops)
         return self.T_map_base
 
@@ -118,7 +113,7 @@ class Mapper:
     @property
     def T_map_odom(self) -> SE2:
         """The odometry frame on the map."""
-        return self.T_map_base @ SE2(self._prepared["T_odom_base"][-1]).inverse()
+        return self.T_map_base @ SE2(self._scans["T_odom_base"][-1]).inverse()
 
     @property
     def lost(self) -> bool:
@@ -146,7 +141,7 @@ class Mapper:
         """Numbers of the key scans among all added scans, from 0 on."""
         if self._tracker is None:
             return np.zeros(0, dtype=np.int64)
-        return self._log.numbers[self._prepared["number"][self._tracker.keys]]
+        return self._log.numbers[self._scans["number"][self._tracker.keys]]
 
     @property
     def trajectory(self) -> Trajectory:
@@ -166,12 +161,12 @@ class Mapper:
 
     def map(self) -> OccupancyGrid:
         """The occupancy grid of the key scans and the newest scan."""
-        numbers = self._prepared["number"]
+        numbers = self._scans["number"]
         assert self._tracker is not None
         T_map = {key: SE2(pose) for key, pose in zip(self._tracker.keys, self.T_map_keys.xyt, strict=True)}
         T_map[len(numbers) - 1] = self.T_map_base
         shown = [k for k in T_map if self._log.trusted[numbers[k]]]
-        seen, motion = self._log.some(numbers[shown]), SE2(self._prepared["motion"][shown])
+        seen, motion = self._log.some(numbers[shown]), SE2(self._scans["motion"][shown])
         return make_grid(seen, SE2.stack([T_map[k] for k in shown]), self.config.grid, self._usable, motion)
 
     def finish(self) -> tuple[Trajectory, OccupancyGrid]:
@@ -183,7 +178,7 @@ class Mapper:
         assert self._tracker is not None
         assert self._loops is not None
         keys, loops = np.array(self._tracker.keys), self._loops
-        refined, _ = refine(self._clouds.view(), keys, self.T_map_keys, loops.steps, self.config.refine)
+        refined, _ = refine(self._scans.view(), keys, self.T_map_keys, loops.steps, self.config.refine)
         loops.poses = refined.xyt
         self._follow(self._tracker, loops)
         return self.trajectory, self.map()
@@ -192,29 +187,22 @@ class Mapper:
         """All remaining trusted scans, as a log."""
         return self._log.recording()
 
-    def _append(self, one: Recording) -> None:
+    def _append(self) -> None:
         """Prepare the newest scan."""
         number = len(self._log) - 1
         if number < SCANS and number & (number + 1) == 0:
             # more scans give a better estimate of the lidar's noise
-            self._clouds.noise = range_noise(self._log.recording(), self._usable)
-        motion = known_motion(one)
-        self._clouds.append(one, self._usable, motion)
-        self._prepared.append(
-            number=np.array([number]),
-            stamp_ns=one.stamps_ns,
-            T_odom_base=np.zeros((1, 3)) if one.T_odom_base is None else one.T_odom_base.xyt,
-            motion=motion.xyt,
-        )
+            self._scans.noise = range_noise(self._log.recording(), self._usable)
+        self._scans.append(self._log.last(), number)
 
     def _begin(self) -> None:
-        clouds, make = self._clouds.view(), front_end_maker(self.config.front_end)
+        clouds, make = self._scans.view(), front_end_maker(self.config.front_end)
         self._tracker = Tracker(clouds, self._log.last(), self.config.tracking, self._usable, make)
         self._loops = GrowingLoops(clouds, self._tracker.pose, self.config.loops)
 
     def _extend(self, tracker: Tracker) -> None:
-        odometry = self._prepared["T_odom_base"] if self._log.has_odometry else None
-        tracker.extend(self._clouds.view(), odometry)
+        odometry = self._scans["T_odom_base"] if self._log.has_odometry else None
+        tracker.extend(self._scans.view(), odometry)
 
     def _judge(self, tracker: Tracker) -> None:
         """Count scans that do not fit. One without points says nothing if there is odometry."""
@@ -228,7 +216,7 @@ class Mapper:
         """Correct earlier scans that the newest one revises, relative to their keys."""
         key, T_key_scan = self._by_key["key"], self._by_key["T_key_scan"]
         for scan, _ in tracker.placed.revised:
-            number = self._prepared["number"][scan]
+            number = self._scans["number"][scan]
             T_key_scan[number] = between(tracker.pose_of(tracker.keys[key[number]]), tracker.pose_of(scan))
 
     def _close_loops(self, tracker: Tracker, loops: GrowingLoops) -> None:
@@ -247,11 +235,10 @@ class Mapper:
         needed = loops.needed()
         needed[-FIELD_KEYS:] = True
         kept = needed | _first_of_places(loops.poses, self._kept.place_keys)
-        stays = np.zeros(len(self._prepared), dtype=bool)
+        stays = np.zeros(len(self._scans), dtype=bool)
         stays[-self._kept.last_scans :] = True
         stays[np.array(tracker.keys)] = kept
-        self._prepared.keep(stays)
-        self._clouds.keep(stays)
+        self._scans.keep(stays)
         tracker.forget(~stays)
         self._extend(tracker)
         scans = KeyScans(tracker.clouds, np.array(tracker.keys))
@@ -267,10 +254,10 @@ class Mapper:
     def _drop_scans(self) -> None:
         """The log, too, keeps only scans with clouds."""
         stays = np.zeros(len(self._log), dtype=bool)
-        stays[self._prepared["number"]] = True
+        stays[self._scans["number"]] = True
         self._log.keep(stays)
         self._by_key.keep(stays)
-        self._prepared["number"][:] = np.arange(len(self._prepared))
+        self._scans["number"][:] = np.arange(len(self._scans))
 
     def _follow(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """Move the track to the graph's pose of its last key scan."""
