@@ -7,7 +7,7 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.driver import Driver
-from turtlebag.pipeline.slam.graph.pose_graph import residuals
+from turtlebag.pipeline.slam.graph.cost import residuals
 from turtlebag.planners.control.controller import Ramped
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.planner import NoPath, Plan

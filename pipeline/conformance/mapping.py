@@ -29,8 +29,8 @@ from turtlebag.pipeline.conformance.trial_room import (
     require_near,
 )
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
-from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
+from turtlebag.pipeline.slam.loops.matcher import LoopMatch, Stretch
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import Tracker
@@ -137,7 +137,7 @@ def _check_hostile(front_end: Callable[[Any], FrontEnd], recording: Recording, s
 def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
     """Two stretches of a lap laid on each other from a start that is off, and where there is nothing.
 
-    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.loops.match.LoopMatch`, asks.
+    AssertionError in one line says what the contract asks: `turtlebag.pipeline.slam.loops.matcher.LoopMatch`.
     """
     poses = lap()
     clouds = make_clouds(log(poses, odometry=False), LIDAR.range_max)

@@ -14,7 +14,7 @@ from turtlebag.datasets.ground_truth import true_pose
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.slam.loops.match import Stretch
+from turtlebag.pipeline.slam.loops.matcher import Stretch
 from turtlebag.pipeline.slam.loops.matchers import LineMatch
 from turtlebag.pipeline.slam.odometry.front_end import Placed
 from turtlebag.pipeline.slam.odometry.line_icp import Lines

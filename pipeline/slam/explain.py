@@ -12,9 +12,9 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.check.selfcheck import hypothesis_shares
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
-from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, relative
+from turtlebag.pipeline.slam.check.verdict import hypothesis_shares
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop
+from turtlebag.pipeline.slam.graph.cost import mahalanobis, relative
 from turtlebag.pipeline.slam.grid import make_grid
 from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult
 from turtlebag.pipeline.slam.sessions import Session

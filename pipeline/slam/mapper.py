@@ -15,10 +15,10 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.pipeline.slam.check.selfcheck import SelfCheck, check_map
+from turtlebag.pipeline.slam.check.verdict import SelfCheck, check_map
 from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Loop
 from turtlebag.pipeline.slam.graph.edits import Edits, KeyEdits
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop
 from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid

@@ -23,7 +23,7 @@ from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.datasets.yaml_files import checked
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Kind, Loop
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind, Loop
 from turtlebag.pipeline.slam.mapper import LATER, SlamConfig
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration

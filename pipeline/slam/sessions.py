@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.graph.factors import ALONG_THE_LOG, Constraint, Graph, Kind
+from turtlebag.pipeline.slam.graph.constraints import ALONG_THE_LOG, Constraint, Graph, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
@@ -58,9 +58,9 @@ class Session:
         T = carried_poses(track.T_track_base, track.keys, self.graph.T_map_keys, self.breaks.gaps)
         return replace(track, T_track_base=T)
 
-    def bridged(self) -> TrackBreaks:
+    def open_breaks(self) -> TrackBreaks:
         """The breaks of the track that the graph did not bridge."""
-        return self.breaks.bridged(self.graph.unbridged)
+        return self.breaks.still_open(self.graph.unbridged)
 
 
 def join(
@@ -89,7 +89,7 @@ def join(
     steps = [c for c in step_constraints(track, tracking, evidence.distrusted) if c.j not in ends]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
-    breaks = joined_breaks(a.bridged(), b.bridged(), border)
+    breaks = joined_breaks(a.open_breaks(), b.open_breaks(), border)
     graph = Graph(track.T_track_base[track.keys], [*steps, *weak], [], [], breaks.broken)
     return Session(recording, key_scans, motion, track, evidence, breaks, graph, a.ranges)
 
@@ -149,11 +149,14 @@ def place_of(
     """The pose of session `b` (its key scans follow `a`'s in `scans`) in the map of `a`, by place recognition
     across the break between the two. The first eighth of `b` is tried first, then more of it. If `b` has
     fewer submaps than must agree, those it has are enough. None if no place is recognised."""
-    n, breaks = len(a.track.keys), joined_breaks(a.bridged(), b.bridged(), len(a.recording), broken=True)
+    n, breaks = (
+        len(a.track.keys),
+        joined_breaks(a.open_breaks(), b.open_breaks(), len(a.recording), broken=True),
+    )
     clouds, keys = scans
     T = np.concatenate([a.graph.T_map_keys.xyt, b.graph.T_map_keys.xyt])
     constraints = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
-    submaps = len(windows(len(keys) - n, b.bridged().broken))
+    submaps = len(windows(len(keys) - n, b.open_breaks().broken))
     config = config.model_copy(update={"min_support": max(min(config.min_support, submaps), 1)})
     for share in (8, 4, 2, 1):
         asked = n + (len(keys) - n) // share

@@ -17,8 +17,8 @@ from pydantic import Field
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop, firm
 from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.loops.by_distance import BATCH, LoopConfig, LoopSearch
 from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency, support

@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, in_rounds
 from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned

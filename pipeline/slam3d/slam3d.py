@@ -15,7 +15,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.pose_graph import carried_poses
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig
 from turtlebag.pipeline.slam.mapper import Sensors

@@ -13,8 +13,7 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.drivers import make_avoider
 from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
-from turtlebag.pipeline.slam.loops.by_distance import MATCHERS
-from turtlebag.pipeline.slam.loops.matchers import Open3dMatch
+from turtlebag.pipeline.slam.loops.matchers import MATCHERS, Open3dMatch
 from turtlebag.pipeline.slam.odometry.front_end import Placed
 from turtlebag.pipeline.slam.odometry.front_ends import FRONT_ENDS
 from turtlebag.pipeline.slam.odometry.wheels import Wheels

@@ -7,7 +7,7 @@ from typing import get_args, get_origin, get_type_hints, is_typeddict
 
 import pytest
 
-from turtlebag.pipeline.slam.check.selfcheck import SelfCheck
+from turtlebag.pipeline.slam.check.verdict import SelfCheck
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.stages.map_summary import loop_counts
 from turtlebag.pipeline.stages.plan import PlanMetrics

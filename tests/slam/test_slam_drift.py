@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.drift import ANYWHERE, HONEST, drift_of, reach, read_at
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.loops.consistency import consistency
 
 SIGMA = np.array([0.02, 0.03, 0.01])

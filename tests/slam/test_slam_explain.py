@@ -9,7 +9,7 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import explain
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 
 KEYS = np.array([0, 4, 9, 15])

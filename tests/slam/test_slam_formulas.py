@@ -11,10 +11,11 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, random_poses, record
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.pipeline.slam.check.selfcheck import contradicted_keys, hypothesis_shares, revisits_of
+from turtlebag.pipeline.slam.check.verdict import contradicted_keys, hypothesis_shares, revisits_of
 from turtlebag.pipeline.slam.explain import candidate
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
-from turtlebag.pipeline.slam.graph.pose_graph import carried_poses, mahalanobis, optimise, write_g2o
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
+from turtlebag.pipeline.slam.graph.cost import mahalanobis
+from turtlebag.pipeline.slam.graph.pose_graph import carried_poses, optimise, write_g2o
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track

@@ -14,8 +14,8 @@ from tests.helpers.carmen_lines import carmen_text
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam.loops.by_distance import MATCHERS
-from turtlebag.pipeline.slam.loops.match import Stretch
+from turtlebag.pipeline.slam.loops.matcher import Stretch
+from turtlebag.pipeline.slam.loops.matchers import MATCHERS
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.front_ends import FRONT_ENDS

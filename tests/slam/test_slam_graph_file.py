@@ -14,7 +14,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.slam.graph.factors import Loop
+from turtlebag.pipeline.slam.graph.constraints import Loop
 from turtlebag.pipeline.slam.graph.pose_graph import write_g2o
 from turtlebag.pipeline.slam.mapper import SlamConfig, continue_slam, run_slam
 from turtlebag.pipeline.slam.session_file import FILE, FORMAT, load_session, save_session

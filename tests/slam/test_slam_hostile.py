@@ -15,8 +15,8 @@ from tests.helpers.made_logs import blinded, clock_back, hall, office_plan, shak
 from tests.helpers.made_logs import office as made_office
 from tests.helpers.slam_rooms import recording, rectangle
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.check.selfcheck import contradicted_keys
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
+from turtlebag.pipeline.slam.check.verdict import contradicted_keys
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.graph.refinement import refine
 from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam, step_constraints

@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.factors import Loop
+from turtlebag.pipeline.slam.graph.constraints import Loop
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig, LoopFinder
 from turtlebag.pipeline.slam.loops.closure import spanned_steps
 from turtlebag.pipeline.slam.scans.align import Alignment

@@ -14,8 +14,9 @@ from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
-from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis, optimise
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
+from turtlebag.pipeline.slam.graph.cost import mahalanobis
+from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.grid import (
     Counts,
     OccupancyConfig,

@@ -8,8 +8,8 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Trajectory
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.drift import HONEST
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.isam2 import GrowingGraph, joined, without
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.loops.by_distance import LoopConfig, step_lengths

@@ -13,8 +13,8 @@ from tests.helpers.made_drives import Drive, FloorPlan, Sensor, Wheels, make_log
 from tests.helpers.made_logs import WHEELS, interval, office_plan, without
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.drift import HONEST, SIGMAS, drift_of
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.loops.by_appearance import (
     PlaceRecognitionConfig,
     accepted_sets,

@@ -9,8 +9,8 @@ from benchmarks.known_logs import integrate
 from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
-from turtlebag.pipeline.slam.check.selfcheck import check_map, slides
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Kind
+from turtlebag.pipeline.slam.check.verdict import check_map, slides
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration

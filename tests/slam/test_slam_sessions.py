@@ -6,7 +6,7 @@ import pytest
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.slam.graph.factors import Kind
+from turtlebag.pipeline.slam.graph.constraints import Kind
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.scans import joined_clouds

@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.factors import Loop
+from turtlebag.pipeline.slam.graph.constraints import Loop
 from turtlebag.pipeline.slam.loops import submaps
 from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, support
 from turtlebag.pipeline.slam.scans.clouds import make_clouds

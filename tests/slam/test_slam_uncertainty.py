@@ -9,8 +9,8 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.check import uncertainty as map_uncertainty
 from turtlebag.pipeline.slam.check.uncertainty import ASKED, shared_errors
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.drift import HONEST
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import noise_model
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import Track

@@ -12,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Cloud
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, run_slam_3d
 from turtlebag.reports.metrics.trajectory import ate

@@ -10,8 +10,9 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.open3d_loader import open3d
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
-from turtlebag.pipeline.slam.graph.pose_graph import optimise, residuals, write_g2o
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
+from turtlebag.pipeline.slam.graph.cost import residuals
+from turtlebag.pipeline.slam.graph.pose_graph import optimise, write_g2o
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished, save_ply
 from turtlebag.pipeline.slam3d.floor import find_floor, levelled
 from turtlebag.pipeline.slam3d.loops import MIN_OVERLAP

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.motion import way_and_turn
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
+from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.graph.drift import covariances, plane_motions
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
-from turtlebag.pipeline.slam.graph.pose_graph import mahalanobis
 from turtlebag.pipeline.slam.odometry.track import Track
 
 # This many keys are evaluated, evenly spaced over the log.

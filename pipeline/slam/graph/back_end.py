@@ -9,7 +9,7 @@ from pydantic import Field
 
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.constraints import Constraint
 from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
 
 BackEndName = Annotated[

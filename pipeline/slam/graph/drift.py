@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.constraints import Constraint
 from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
 
 # The steps' covariances are too large: over 3 to 300 m the squared errors are 0.04 to 0.57 of the accumulated

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import HELD, noise_model, positive_definite
 
 # Poses that move farther than this are relinearised [m, rad].

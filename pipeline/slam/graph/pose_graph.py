@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.graph.factors import Constraint
-
-Poses = TypeVar("Poses", SE2, Array)
+from turtlebag.pipeline.slam.graph.constraints import Constraint
+from turtlebag.pipeline.slam.graph.cost import Poses, relative
 
 # A negligible information that keeps matrices positive definite: a hundred metres, a hundred radians.
 WEAK = 1e-4
@@ -83,11 +82,6 @@ def positive_definite(information: Array) -> Array:
     return information + FLOOR[information.shape[-1]]
 
 
-def relative(T_a: Poses, T_b: Poses) -> Poses:
-    """Poses b relative to poses a."""
-    return T_a.inverse() @ T_b if isinstance(T_a, SE2) else se3.inverse(T_a) @ T_b
-
-
 def carried_poses(
     T_track: Poses, keys: NDArray[np.int64], T_map_keys: Poses, gaps: NDArray[np.int64] = NO_GAPS
 ) -> Poses:
@@ -108,27 +102,6 @@ def carried_poses(
     if isinstance(from_before, SE2):
         return from_before.interpolate(from_after, fraction)
     return se3.interpolate(from_before, from_after, fraction)
-
-
-def vectors(T: SE2 | Array) -> Array:
-    """Small motions as vectors: x, y, yaw (..., 3), or in space rotation and translation (..., 6)."""
-    return T.xyt if isinstance(T, SE2) else se3.log(T)
-
-
-def residuals(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
-    """Residual of each constraint at the given poses, as `vectors` (n, 3) or (n, 6)."""
-    i, j = np.array([c.i for c in constraints], int), np.array([c.j for c in constraints], int)
-    measured = np.array([c.T_i_j for c in constraints])
-    if isinstance(T_map_keys, SE2):
-        return vectors(relative(SE2(measured.reshape(-1, 3)), relative(T_map_keys[i], T_map_keys[j])))
-    return vectors(relative(measured.reshape(-1, 4, 4), relative(T_map_keys[i], T_map_keys[j])))
-
-
-def mahalanobis(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
-    """Squared Mahalanobis residual of each constraint at the given poses, kernels left out."""
-    e = residuals(T_map_keys, constraints)
-    information = np.array([c.information for c in constraints]).reshape(-1, e.shape[1], e.shape[1])
-    return np.einsum("na,nab,nb->n", e, information, e)
 
 
 def write_g2o(path: Path, T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> None:

@@ -16,9 +16,10 @@ from pydantic import Field
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
+from turtlebag.pipeline.slam.graph.cost import Poses
 from turtlebag.pipeline.slam.graph.edits import KeyEdits
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
-from turtlebag.pipeline.slam.graph.pose_graph import Gtsam, Poses, optimise
+from turtlebag.pipeline.slam.graph.pose_graph import Gtsam, optimise
 from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits

@@ -1,4 +1,7 @@
-"""Loop acceptance: the checks of an alignment before it enters the graph."""
+"""Loop acceptance: the checks of a loop by distance before it enters the graph.
+
+Recognised places are accepted in sets that agree: `by_appearance.accepted_sets`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.loops.free_space import contradicts, mean_violation
-from turtlebag.pipeline.slam.loops.match import Stretch
+from turtlebag.pipeline.slam.loops.matcher import Stretch
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 

@@ -1,6 +1,6 @@
 """Place recognition: loops where the drift exceeds the search radius, or is unknown.
 
-Loops by distance (`loops`) are searched near the estimated pose. If the track is
+Loops by distance (`by_distance`) are searched near the estimated pose. If the track is
 broken or has drifted further, submaps are recognised by appearance. A place is
 accepted only if several submaps in a row agree on it (PCM), the whole stretch placed there does not violate
 free space, and no other place fits nearly as well: buildings repeat themselves.
@@ -21,8 +21,8 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop, firm
 from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop, firm
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.loops.free_space import (
@@ -33,7 +33,7 @@ from turtlebag.pipeline.slam.loops.free_space import (
     thinned,
     visits,
 )
-from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
+from turtlebag.pipeline.slam.loops.matcher import LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops.submaps import (
     Pictures,
     Submap,

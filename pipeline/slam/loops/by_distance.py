@@ -2,7 +2,7 @@
 
 Candidates lie within the drift along the graph (`drift`); each is searched
 exhaustively (a few key scans together against the older place's field), aligned by a `LoopMatch`, and
-accepted only after the checks of `loop_acceptance`.
+accepted only after the checks of `acceptance`.
 A loop has no information along unobservable directions, and enters the graph with a heavy-tailed kernel.
 """
 
@@ -21,20 +21,17 @@ from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.back_end import BackEnd
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.graph.edits import KeyEdits
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
 from turtlebag.pipeline.slam.loops.acceptance import loop_verdict
-from turtlebag.pipeline.slam.loops.match import LoopMatch, Stretch
-from turtlebag.pipeline.slam.loops.matchers import LineMatch, Open3dMatch
+from turtlebag.pipeline.slam.loops.matcher import LoopMatch, Stretch
+from turtlebag.pipeline.slam.loops.matchers import MATCHERS
 from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.correlative import TURN_RAD, best_pose, make_field
 from turtlebag.pipeline.slam.scans.correspondences import Limits
-
-MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
-"""The values of `loops.match`; see `turtlebag.pipeline.slam.loops.match`."""
 
 
 class LoopConfig(Settings):

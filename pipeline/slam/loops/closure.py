@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.factors import Constraint, Graph, Loop, firm
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Loop, firm
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places, relaxed
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks

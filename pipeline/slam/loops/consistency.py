@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.graph.constraints import Loop
 from turtlebag.pipeline.slam.graph.drift import Drift, covariances, likely, reach, read_at
-from turtlebag.pipeline.slam.graph.factors import Loop
 
 
 def consistency(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.loops.match import Stretch
+from turtlebag.pipeline.slam.loops.matcher import LoopMatch, Stretch
 from turtlebag.pipeline.slam.scans.align import Alignment, align
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
@@ -36,3 +36,7 @@ class LineMatch:
         if clouds.placed_by(query.about) == "points":
             return self._points.match(clouds, query, place, start, limits)
         return align(clouds, query.about, start, place.scans, place.T_about_scans, limits)
+
+
+MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
+"""The values of `loops.match`; see `turtlebag.pipeline.slam.loops.matcher`."""

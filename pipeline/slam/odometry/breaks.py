@@ -52,7 +52,7 @@ class TrackBreaks:
             alone=self.alone[:steps],
         )
 
-    def bridged(self, unbridged: NDArray[np.bool_]) -> TrackBreaks:
+    def still_open(self, unbridged: NDArray[np.bool_]) -> TrackBreaks:
         """Only the unbridged breaks, `unbridged` (keys - 1,)."""
         broken = self.broken & unbridged
         return TrackBreaks(broken, self.contradicted & broken, self.alone & broken, self.gaps)

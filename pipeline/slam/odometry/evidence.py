@@ -27,9 +27,9 @@ NO_BORDERS = np.zeros(0, dtype=np.int64)
 class Evidence:
     """What scans and wheels each say of n scans and of the steps that end at them, all (n,).
 
-    `seen` says which scans had points to align, `blind` which of them observe only one direction. `wheels`
-    are the odometry's poses, None without odometry, and `calibration` their systematic errors; `distrusted`
-    says where the scans contradict them, or there are none. `unobserved_m` is the way of each step that
+    `seen` says which scans had points to align, `blind` which of them observe only one direction.
+    `T_odom_base` are the wheels' poses, None without odometry, and `calibration` their systematic errors;
+    `distrusted` says where the scans contradict them, or there are none. `unobserved_m` is the way of each step that
     neither scans nor wheels observed [m]. `borders` (b,) are the first scans of later logs: no step leads to
     them.
     """
@@ -37,7 +37,7 @@ class Evidence:
     stamps_ns: NDArray[np.int64]
     seen: NDArray[np.bool_]
     blind: NDArray[np.bool_]
-    wheels: SE2 | None
+    T_odom_base: SE2 | None
     calibration: Calibration
     distrusted: NDArray[np.bool_]
     unobserved_m: Array
@@ -45,9 +45,11 @@ class Evidence:
 
     def agreed(self, T_map_base: SE2, before: int, after: int) -> bool:
         """Whether the wheels agree with the motion between two scans by their poses (n,)."""
-        if self.wheels is None:
+        if self.T_odom_base is None:
             return False
-        odometry = self.calibration.corrected((self.wheels[before].inverse() @ self.wheels[after]).xyt)
+        odometry = self.calibration.corrected(
+            (self.T_odom_base[before].inverse() @ self.T_odom_base[after]).xyt
+        )
         return confirms(odometry, (T_map_base[before].inverse() @ T_map_base[after]).xyt)
 
     def too_fast(

@@ -68,7 +68,7 @@ class Lines:
     def __init__(self, tracker: Tracker) -> None:
         self.tracker = tracker
         self.doubt: Doubt | None = None
-        self.wheels = OdometryTrust(tracker.config.odometry)
+        self.wheel_trust = OdometryTrust(tracker.config.odometry)
         self._by_points = KissIcp(tracker)
         self._usual_cost = USUAL_COST
 
@@ -85,9 +85,9 @@ class Lines:
         matched, (found, sure, settled) = found, self._judge(scan, found, wait_s)
         pose, source = found.T_map_base.xyt, source if found is matched else 0
         if self.doubt is not None:
-            self.wheels.forget()
+            self.wheel_trust.forget()
         elif odometry_step is not None:
-            self.wheels.judge(odometry_step, pose, found.information)
+            self.wheel_trust.judge(odometry_step, pose, found.information)
         revised = tuple((k, compose(pose, tracker.odometry_since(scan, k))) for k in settled)
         return Placed(pose, found.information, found.overlap, found.rmse, source, sure, revised, found.known)
 
@@ -98,7 +98,7 @@ class Lines:
         expected = tracker.velocity if odometry_step is None else odometry_step
         if odometry_step is not None:
             starts.append((0, compose(tracker.pose, odometry_step)))
-            if self.wheels.trusted:
+            if self.wheel_trust.trusted:
                 starts, share = starts[::-1], 1.0
         return self._by_lines(scan, starts, share * tracker.config.odometry.information(expected), wait_s)
 
@@ -113,7 +113,7 @@ class Lines:
         tracker, settled = self.tracker, range(0)
         if tracker.odometry is None:
             return found, True, settled
-        since = self.doubt or Doubt(tracker.pose, self.wheels.trusted)
+        since = self.doubt or Doubt(tracker.pose, self.wheel_trust.trusted)
         driven = tracker.odometry_since(scan - since.ago)
         agreed = confirms(driven, between(since.T_map_base, found.T_map_base.xyt))
         fits = found.cost <= self._usual_cost + FITS

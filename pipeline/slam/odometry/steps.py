@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.pipeline.slam.graph.factors import Constraint, Kind
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.odometry.line_icp import STEADY_SHARE
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.scans.align import match_information

@@ -56,7 +56,7 @@ class Tracker:
         self.clouds, self.odometry = clouds, T_odom_base
 
     def forget(self, scans: NDArray[np.bool_]) -> None:
-        """Keep only these scans (n,): they are numbered anew, and so are the key scans among them. `extend`
+        """Drop these scans (n,): the others are numbered anew, and so are the key scans among them. `extend`
         must follow, with the log numbered likewise."""
         stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
         self.keys = [int(number[key]) for key in self.keys if stays[key]]

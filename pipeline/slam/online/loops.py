@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, compose
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop
 from turtlebag.pipeline.slam.graph.drift import read_at, sigma_m
-from turtlebag.pipeline.slam.graph.factors import Constraint, Loop
 from turtlebag.pipeline.slam.graph.isam2 import GrowingGraph, without
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig, LoopFinder, step_lengths
 from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans

@@ -21,7 +21,7 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.graph.factors import Constraint
+from turtlebag.pipeline.slam.graph.constraints import Constraint
 from turtlebag.pipeline.slam.graph.refinement import refine
 from turtlebag.pipeline.slam.grid import make_grid
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
