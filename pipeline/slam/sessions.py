@@ -149,14 +149,12 @@ def place_of(
     """The pose of session `b` (its key scans follow `a`'s in `scans`) in the map of `a`, by place recognition
     across the break between the two. The first eighth of `b` is tried first, then more of it. If `b` has
     fewer submaps than must agree, those it has are enough. None if no place is recognised."""
-    n, breaks = (
-        len(a.track.keys),
-        joined_breaks(a.open_breaks(), b.open_breaks(), len(a.recording), broken=True),
-    )
+    n, open_b = len(a.track.keys), b.open_breaks()
+    breaks = joined_breaks(a.open_breaks(), open_b, len(a.recording), broken=True)
     clouds, keys = scans
     T = np.concatenate([a.graph.T_map_keys.xyt, b.graph.T_map_keys.xyt])
     constraints = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
-    submaps = len(windows(len(keys) - n, b.open_breaks().broken))
+    submaps = len(windows(len(keys) - n, open_b.broken))
     config = config.model_copy(update={"min_support": max(min(config.min_support, submaps), 1)})
     for share in (8, 4, 2, 1):
         asked = n + (len(keys) - n) // share

@@ -29,9 +29,9 @@ class Evidence:
 
     `seen` says which scans had points to align, `blind` which of them observe only one direction.
     `T_odom_base` are the wheels' poses, None without odometry, and `calibration` their systematic errors;
-    `distrusted` says where the scans contradict them, or there are none. `unobserved_m` is the way of each step that
-    neither scans nor wheels observed [m]. `borders` (b,) are the first scans of later logs: no step leads to
-    them.
+    `distrusted` says where the scans contradict them, or there are none. `unobserved_m` is the way of each
+    step that neither scans nor wheels observed [m]. `borders` (b,) are the first scans of later logs: no step
+    leads to them.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -45,11 +45,10 @@ class Evidence:
 
     def agreed(self, T_map_base: SE2, before: int, after: int) -> bool:
         """Whether the wheels agree with the motion between two scans by their poses (n,)."""
-        if self.T_odom_base is None:
+        T = self.T_odom_base
+        if T is None:
             return False
-        odometry = self.calibration.corrected(
-            (self.T_odom_base[before].inverse() @ self.T_odom_base[after]).xyt
-        )
+        odometry = self.calibration.corrected((T[before].inverse() @ T[after]).xyt)
         return confirms(odometry, (T_map_base[before].inverse() @ T_map_base[after]).xyt)
 
     def too_fast(
