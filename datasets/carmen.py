@@ -77,7 +77,7 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
         what = "only damaged scan lines" if broken else "no FLASER or ROBOTLASER1 line"
         raise InputError(f"{path}: {what} in the log; is it a CARMEN log with laser data?")
     if broken:
-        notes.append(f"{len(broken)} damaged lines skipped, the first is line {min(broken)}")
+        notes.append(f"{counted(len(broken), 'damaged line')} skipped, the first is line {min(broken)}")
     if rear:
         notes.append(f"{rear} rear laser scans (RLASER) not used")
     n = lidar.n_beams
@@ -161,7 +161,7 @@ def _geometries(lines: list[_Line], notes: list[str]) -> list[Geometry | None]:
             notes.append(f"{usual} beams: a field of view of 180 degrees is assumed")
         if sizes.keys() - known:
             unknown = sum(count for n, count in sizes.items() if n not in known)
-            notes.append(f"{unknown} scans with other than {usual} beams skipped")
+            notes.append(f"{counted(unknown, 'scan')} with other than {usual} beams skipped")
     return [_geometry(line) if line.beams in known else None for line in lines]
 
 

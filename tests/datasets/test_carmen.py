@@ -46,7 +46,7 @@ def test_half_a_circle_is_assumed_and_said_of_a_number_of_beams_that_no_sick_has
     found = load_recording(write(tmp_path, flaser(np.ones(91)) * 2 + flaser(np.ones(90))))
     np.testing.assert_allclose(np.degrees(found.lidar.angles), np.arange(-90.0, 91.0, 2.0), atol=1e-9)
     assert "91 beams: a field of view of 180 degrees is assumed" in found.notes
-    assert "1 scans with other than 91 beams skipped" in found.notes
+    assert "1 scan with other than 91 beams skipped" in found.notes
 
 
 def test_robotlaser_line_states_its_field_of_view(tmp_path):
@@ -116,7 +116,7 @@ def test_a_pose_beyond_the_earth_is_damage(tmp_path):
     text = drive() + flaser(np.ones(180), (1e12, 0.0, 0.0), (1e12, 0.0, 0.0), "9.0")
     found = load_recording(write(tmp_path, text))
     assert len(found) == 9
-    assert "1 damaged lines skipped, the first is line 10" in found.notes
+    assert "1 damaged line skipped, the first is line 10" in found.notes
 
 
 def test_damaged_lines_are_skipped_and_counted(tmp_path):
@@ -188,7 +188,7 @@ def test_impossible_stamps_are_damage(tmp_path, stamp):
     text = flaser(np.ones(180)) + flaser(np.ones(180), stamp=stamp)
     recording = load_recording(write(tmp_path, text))
     assert len(recording) == 1
-    assert any("1 damaged lines" in note for note in recording.notes)
+    assert any("1 damaged line" in note for note in recording.notes)
 
 
 def test_relations_are_read(tmp_path):
@@ -256,7 +256,7 @@ def test_scans_without_directions_are_damage(tmp_path, first):
     good = "".join(robotlaser(np.ones(5), -1.0, k) for k in (1.0, 2.0))
     found = load_recording(write(tmp_path, good + robotlaser(np.ones(5), first, 3.0)))
     assert len(found) == 2
-    assert "1 damaged lines skipped, the first is line 3" in found.notes
+    assert "1 damaged line skipped, the first is line 3" in found.notes
     with pytest.raises(InputError, match="only damaged scan lines"):
         load_recording(write(tmp_path, robotlaser(np.ones(5), first, 3.0)))
 

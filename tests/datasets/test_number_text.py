@@ -43,7 +43,7 @@ def test_a_line_of_a_carmen_log_with_no_plain_number_is_damaged(tmp_path):
     bad = flaser(np.full(180, 2.3)).replace(" 2.30", " 2_3.0", 1)
     found = load_recording(write(tmp_path, good + bad + good))
     assert len(found) == 2
-    assert "1 damaged lines skipped, the first is line 2" in found.notes
+    assert "1 damaged line skipped, the first is line 2" in found.notes
 
 
 def test_options_and_other_files_take_plain_numbers_only(tmp_path):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.motion import FASTER, GAP_S, without_gap
+from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.base import Verdict
@@ -72,11 +73,12 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
             "the map is folded or doubled"
         )
     if len(lost) > MOST_WRONG * len(track.usable):
-        reasons.append(f"{len(lost)} scans do not fit the map (first: scan {lost[0]})")
+        many = counted(len(lost), "scan")
+        reasons.append(f"{many} {verb(len(lost), 'does', 'do')} not fit the map (first: scan {lost[0]})")
     if len(breaks):
         reasons.append(
-            f"{len(breaks)} breaks where scans are missing, or fit nothing seen before, and nothing confirms "
-            f"the odometry (first: before scan {breaks[0]}): the map after them may be misplaced"
+            f"{counted(len(breaks), 'break')} where scans are missing, or fit nothing seen before, and "
+            f"nothing confirms the odometry (first: before scan {breaks[0]}): what follows may be misplaced"
         )
     if recording.turned_over:
         reasons.append(
@@ -85,7 +87,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
         )
     empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
-        reasons.append(f"{empty} scans see no surface")
+        reasons.append(f"{counted(empty, 'scan')} {verb(empty, 'sees', 'see')} no surface")
     reasons += _jumps(evidence, T_map_base, _steps_in_gap(recording))
     slid = slides(recording, T_map_base, evidence.borders)
     if len(slid):
@@ -128,7 +130,8 @@ def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
     for over in (1, steps_in_gap):
         jumped = evidence.jumps(T_map_base, over)
         if len(jumped):
-            return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0, 1]})"]
+            many, first = counted(len(jumped), "jump"), jumped[0, 1]
+            return [f"{many} farther than the robot can drive (first: to scan {first})"]
     return []
 
 
