@@ -85,7 +85,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
             "scans and odometry turn in opposite directions, and there is no gyro to decide: "
             "if the scans are right, this map is mirrored"
         )
-    empty = np.count_nonzero(~track.usable)
+    empty = int(np.count_nonzero(~track.usable))
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{counted(empty, 'scan')} {verb(empty, 'sees', 'see')} no surface")
     reasons += _jumps(evidence, T_map_base, _steps_in_gap(recording))
