@@ -28,6 +28,7 @@ from turtlebag.pipeline.campaign.campaign_file import (
 )
 from turtlebag.pipeline.stages.command_line import read
 from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.studio import StudioRequest
 
 PLACE = re.compile(r"\{([^{}]*)\}")
 Reader = Callable[[Sequence[str]], Request]
@@ -160,7 +161,10 @@ def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str, read:
 
 def _request(stage: str, words: Sequence[str], read: Reader) -> Request:
     try:
-        return read(tuple(words))
+        request = read(tuple(words))
+        if isinstance(request, StudioRequest):
+            request.replayed()  # no person is there
+        return request
     except InputError as error:
         raise InputError(f"stages.{stage}: {error}") from None
 

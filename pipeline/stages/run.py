@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.stages.command_line import recorded
@@ -60,12 +59,10 @@ def run(request: Request, out: Output) -> int:
             from turtlebag.pipeline.stages.bags import recover_bag
 
             return recover_bag(request, out)
-        case StudioRequest(session=Path() as session):
+        case StudioRequest():
             from turtlebag.pipeline.stages.studio import replay
 
-            return replay(session, out, say=log.info)
-        case StudioRequest():
-            raise InputError("studio: a person drives; give --replay a session.yaml to drive again")
+            return replay(request.replayed(), out, say=log.info)
     raise TypeError(f"{type(request).__name__}: no stage does this")
 
 

@@ -107,6 +107,15 @@ def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
         cases(load(tmp_path, CAMPAIGN.replace(old, new)), list)
 
 
+def test_a_session_that_a_person_would_drive_is_refused_before_the_first_case(tmp_path):
+    (tmp_path / "live.yaml").write_text(
+        "name: live\nquestion: Who drives?\nfactors: {seed: [1, 2]}\n"
+        "stages: {drive: 'studio --world empty --seed {seed}'}\nresults: {time: drive:time_s}\n"
+    )
+    with pytest.raises(InputError, match=r"^stages\.drive: studio: a person drives; give --replay"):
+        cases(load_campaign(str(tmp_path / "live.yaml")))
+
+
 def test_every_shipped_study_can_be_expanded():
     for path in FOLDER.glob("*.yaml"):
         campaign = load_campaign(path.stem)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.stages.parser import port_number
 from turtlebag.pipeline.stages.requests.options import (
     ConfigFile,
@@ -56,3 +57,9 @@ class StudioRequest(Request):
     ] = None
     config: ConfigFile = None
     settings: Overrides = Field({})
+
+    def replayed(self) -> Path:
+        """The session file to replay; InputError for a session that a person drives."""
+        if self.session is None:
+            raise InputError("studio: a person drives; give --replay a session.yaml to drive again")
+        return self.session
