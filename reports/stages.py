@@ -307,17 +307,6 @@ def read_manifest(path: Path) -> Manifest:
     return checked(Manifest, read_json(path), where=str(path))
 
 
-def changed_parts(stage: Stage) -> list[str]:
-    """Parts of the user's own whose source is there, and is no longer what the manifest says, in words."""
-    return [
-        f"{kind}: {entry.path} is no longer the source it was made with"
-        for kind, entry in stage.manifest.inputs.items()
-        if entry.path.suffix == ".py"
-        and entry.path.is_file()
-        and sha256_file(entry.path) not in entry.sha256.values()
-    ]
-
-
 def changed_files(folder: Path, outputs: Mapping[str, str]) -> list[str]:
     """Outputs that are missing in the folder or no longer have the sha256 they had."""
     return [

@@ -17,7 +17,6 @@ from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
 from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd
 from turtlebag.pipeline.stages.settings import load_config
-from turtlebag.reports.stages import changed_parts, load_stage
 from turtlebag.sim.worlds import load_world, own_files
 
 MODULE = """
@@ -208,16 +207,13 @@ def test_a_part_that_breaks_ends_the_program_with_its_traceback_and_exit_code_1(
     assert "/odom" in capfd.readouterr().out
 
 
-def test_a_map_says_what_made_it_and_when_that_has_changed(here, log):
+def test_a_map_says_what_made_it_and_a_changed_part_is_not_used_unseen(here, log):
     assert main(["map", str(log), "--set", f"front_end={here}:Good", "--out", "map", "-q"]) == 0
     manifest = json.loads(Path("map/manifest.json").read_text())
     assert manifest["parts"]["front_end"] == f"{here}:Good"
     assert list(manifest["inputs"]["front_end"]["sha256"]) == [f"{here}.py"]
     assert f"front_end: {here}:Good" in Path("map/config.yaml").read_text()
-    stage = load_stage(Path("map"))
-    assert changed_parts(stage) == []
     Path(f"{here}.py").write_text(MODULE + "# edited\n")
-    assert changed_parts(stage) == [f"front_end: {here}.py is no longer the source it was made with"]
     with pytest.raises(InputError, match="has changed since it was imported"):
         parts.source_files({"front_end": f"{here}:Good"})
 

@@ -1,10 +1,10 @@
 """What the mapper minimises over the poses T_i of the key scans.
 
-    F(T) = sum over all constraints (i, j) of rho(e^T I e),  e = log(T_i_j^-1 T_i^-1 T_j)
+    F(T) = sum over all constraints (i, j) of rho(e^T I e),  e = vectors(T_i_j^-1 T_i^-1 T_j)
 
 T_i_j is what a constraint says of j as seen from i, and I its information: steps between successive keys by
-scans and wheels (`odometry.steps`), loops (`loops.by_distance`), and pairs of overlapping keys
-(`graph.refinement`; Lu and Milios 1997). rho is the identity, or Cauchy's kernel where a constraint has one.
+scans and wheels, or a constant velocity (`odometry.steps`), borders of recordings (`sessions`), loops
+(`loops.by_distance`), and pairs of overlapping keys (`graph.refinement`; Lu and Milios 1997). rho is the identity, or Cauchy's kernel where a constraint has one.
 The back end finds the minimum; docs/how-it-maps.md derives the information from points and lines.
 """
 

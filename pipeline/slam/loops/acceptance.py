@@ -1,6 +1,7 @@
 """Loop acceptance: the checks of a loop by distance before it enters the graph.
 
-Recognised places are accepted in sets that agree: `by_appearance.accepted_sets`.
+The search has left out low scores before (`by_distance`). Recognised places are judged one by one, then
+accepted in sets that agree: `by_appearance.judge_place` and `accepted_sets`.
 """
 
 from __future__ import annotations
