@@ -4,8 +4,9 @@
 
 T_i_j is what a constraint says of j as seen from i, and I its information: steps between successive keys by
 scans and wheels, or a constant velocity (`odometry.steps`), borders of recordings (`sessions`), loops
-(`loops.by_distance`), and pairs of overlapping keys (`graph.refinement`; Lu and Milios 1997). rho is the identity, or Cauchy's kernel where a constraint has one.
-The back end finds the minimum; docs/how-it-maps.md derives the information from points and lines.
+(`loops.by_distance`), and pairs of overlapping keys (`graph.refinement`; Lu and Milios 1997). rho is the
+identity, or Cauchy's kernel where a constraint has one. The back end finds the minimum; docs/how-it-maps.md
+derives the information from points and lines.
 """
 
 from __future__ import annotations
