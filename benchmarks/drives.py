@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,10 +94,13 @@ class Maps:
     def slam(self, world: str, robot: str) -> Path:
         """map.yaml of a world as mapped from the robot's own tour of it."""
         place = self._folder / "".join(c if c.isalnum() else "_" for c in f"{world} {robot} {self._sensors}")
-        if not (place / "map" / "manifest.json").exists():
-            settings = {"sim.sensors": self._sensors}
-            tb.record(world, robot, settings=settings, out=place / "record", force=True)
-        return built_map(place / "record", place / "map").yaml
+        place.mkdir(parents=True, exist_ok=True)
+        with (place / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # cases side by side share the map: the first one makes it
+            if not (place / "map" / "manifest.json").exists():
+                settings = {"sim.sensors": self._sensors}
+                tb.record(world, robot, settings=settings, out=place / "record", force=True)
+            return built_map(place / "record", place / "map").yaml
 
     def true(self, name: str, grid: OccupancyGrid) -> Path:
         """map.yaml of a world as it is."""
