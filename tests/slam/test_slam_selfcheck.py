@@ -9,6 +9,7 @@ from benchmarks.known_logs import integrate
 from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.pipeline.slam.check.uncertainty import Uncertainty, shared_errors
 from turtlebag.pipeline.slam.check.verdict import check_map, slides
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind
 from turtlebag.pipeline.slam.grid import Certainty
@@ -49,7 +50,8 @@ def checked(log, clouds, track, T_keys, constraints, breaks=NONE, borders=NONE, 
     graph = Graph(T_keys, joined, [], [], ~no)
     evidence, keys = evidence_of(log, track, OdometryNoise(), borders), KeyScans(clouds, track.keys)
     session = Session(log, keys, None, track, evidence, torn, graph, RangeCalibration())
-    return check_map(session, track.T_track_base, certainty)
+    shared = shared_errors(track, joined, evidence.unobserved_m)
+    return check_map(session, track.T_track_base, certainty, Uncertainty.of(T_keys, joined, shared))
 
 
 def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, step_sigma=1e-4, **changes):

@@ -18,7 +18,7 @@ from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.base import Verdict
-from turtlebag.pipeline.slam.check.uncertainty import position_sigmas, shared_errors
+from turtlebag.pipeline.slam.check.uncertainty import Uncertainty
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
@@ -31,9 +31,9 @@ APART_KEYS, BAD_SHARE = 30, 0.35
 # At most this share of the places, or of the scans, may be wrong; and at most this many key scans, however
 # long the log, may contradict most of their revisits.
 MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
-# If the standard deviation of some scans by the graph is larger than this [m], the worst of them may be 0.2 m
-# off: the true error was 1.4 to 6 times as large (ten logs of 20 m to 2 km with known poses).
-LEAST_SURE_M = 0.1
+# If the standard deviation of some scans by the graph is larger than this [m], the worst of them is likely to
+# be as far off.
+LEAST_SURE_M = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,9 @@ class SelfCheck(Verdict):
     reasons: tuple[str, ...]
 
 
-def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCheck:
-    """Check a finished map with these poses of all scans (n,). `certainty` is the grid's."""
+def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertainty: Uncertainty) -> SelfCheck:
+    """Check a finished map with these poses of all scans (n,). `certainty` is the grid's, `uncertainty` that
+    of the session's graph."""
     recording, evidence, breaks = session.recording, session.evidence, session.unconfirmed
     track, T_map_keys = session.track, session.graph.T_map_keys
     pairs = revisits_of(T_map_keys)
@@ -94,12 +95,11 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
         reasons.append(
             f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
         )
-    constraints, unobserved_m = session.graph.constraints, evidence.unobserved_m
-    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved_m))
+    asked, sigmas = uncertainty.position_sigmas()
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]
-        missed = unobserved_m.sum()
+        missed = evidence.unobserved_m.sum()
         blind = f"; scans and odometry missed {missed:.1f} m of the path" if missed > 0.0 else ""
         reasons.append(
             f"the pose graph is uncertain near x {x:.1f}, y {y:.1f} by {sigma:.2f} m (one standard "
