@@ -46,7 +46,7 @@ def sweep_motion(recording: Recording) -> SE2 | None:
     """Base poses (n, KNOTS) during each sweep relative to its start, by odometry; None without a stream or
     where a sweep takes no time. The last one is that at the end of the sweep. Where the odometry jumps, the
     motion of the previous sweep is used."""
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    sweep_s = recording.lidar.sweep_s
     if recording.odometry is None or len(recording.odometry) < 2 or sweep_s == 0.0:
         return None
     after_ns = nanoseconds(np.arange(KNOTS + 1) / KNOTS * sweep_s)
@@ -54,7 +54,7 @@ def sweep_motion(recording: Recording) -> SE2 | None:
     T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
     # a jump may end within a sweep and move its end only a little, so each part is checked
     moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
-    part_s = np.full(len(moved), abs(sweep_s) / KNOTS)
+    part_s = np.full(len(moved), sweep_s / KNOTS)
     too_far = moved > fastest(moved, part_s) * part_s[:, None]
     jumps = too_far.reshape(len(T_odom_knots), -1).any(axis=1)
     motion = T_odom_knots[:, :1].inverse() @ T_odom_knots[:, 1:]
@@ -67,7 +67,7 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     A scan that is not corrected yet has the pose of the middle of its sweep, so the speed during the sweep is
     the mean of those before and after.
     """
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    sweep_s = recording.lidar.sweep_s
     waits = seconds(np.diff(recording.stamps_ns))
     steps = T_track_base.steps()
     known = without_gap(waits)

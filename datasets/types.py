@@ -32,9 +32,10 @@ class LidarSpec:
     """Geometry of a planar lidar, as sensor_msgs/LaserScan states it.
 
     Beam i points at `angle_min + i * angle_increment` in the lidar frame and is taken
-    `i * time_increment` seconds after the scan's stamp (0: all at once). A range is a return when
-    `range_min <= r < range_max`; range_max and more, as +inf, is "no return", -inf "nearer than
-    range_min", NaN invalid (REP-117).
+    `(i - first_beam) mod n_beams` times `time_increment` seconds after the scan's stamp (0: all at once; with
+    a negative increment the beams are taken in the opposite order, and the stamp is still that of the first).
+    A range is a return when `range_min <= r < range_max`; range_max and more, as +inf, is "no return", -inf
+    "nearer than range_min", NaN invalid (REP-117).
     """
 
     n_beams: int
@@ -44,12 +45,31 @@ class LidarSpec:
     range_max: float
     time_increment: float = 0.0
     scan_time: float = 0.0
+    first_beam: int = 0
 
     def __post_init__(self) -> None:
         if self.n_beams < 1:
             raise ValueError(f"a lidar needs at least one beam, got {self.n_beams}")
         if not 0.0 <= self.range_min < self.range_max:
             raise ValueError(f"lidar ranges {self.range_min}..{self.range_max} m are not an interval")
+        if not 0 <= self.first_beam < self.n_beams:
+            raise ValueError(f"of {self.n_beams} beams, beam {self.first_beam} cannot be the first")
+
+    @cached_property
+    def order(self) -> NDArray[np.int64]:
+        """How many beams are taken before each one, (n_beams,)."""
+        place = (np.arange(self.n_beams) - self.first_beam) % self.n_beams
+        return place if self.time_increment >= 0.0 else self.n_beams - 1 - place
+
+    @cached_property
+    def shares(self) -> Array:
+        """When in the sweep each beam is taken, 0 for the first and 1 for the last, (n_beams,)."""
+        return np.linspace(0.0, 1.0, self.n_beams)[self.order]
+
+    @property
+    def sweep_s(self) -> float:
+        """Time from the first beam to the last [s]."""
+        return abs(self.time_increment) * (self.n_beams - 1)
 
     @cached_property
     def angles(self) -> Array:

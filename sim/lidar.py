@@ -61,9 +61,8 @@ class Lidar:
         self.surround(solids)
         self._unit = LidarUnit(config.errors or LidarErrors(), rng) if config.noise == "sensor" else None
         self._T_base_lidar = robot.T_base_lidar.xyt
-        n = self.spec.n_beams
         self._movers: list[Sections] = []
-        self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
+        self._sweep: Array = self.spec.order * (abs(self.spec.time_increment) / self.spec.scan_time)
 
     def surround(self, solids: Sequence[Solid]) -> None:
         """Set the solids around the lidar from now on."""

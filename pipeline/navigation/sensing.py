@@ -42,7 +42,7 @@ class OdometryBuffer:
 
 def sweep_end_ns(scan: Scan) -> int:
     """Stamp of the end of a sweep [ns]."""
-    return scan.stamp_ns + nanoseconds(scan.lidar.n_beams * scan.lidar.time_increment)
+    return scan.stamp_ns + nanoseconds(scan.lidar.n_beams * abs(scan.lidar.time_increment))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class Sensing:
         used = np.flatnonzero(hit | passed)
         origins, directions = deskewed(
             scan.lidar.directions[used],
-            used / len(ranges),
+            scan.lidar.order[used] / len(ranges),
             self._T_base_lidar.xyt,
             (first.inverse() @ last).xyt[None],
         )

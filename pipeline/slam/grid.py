@@ -124,7 +124,7 @@ def make_checked_grid(
         known = _known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution)
         _require_cells(known, MAX_CELLS, resolution)
     counts, T_grid_base = Counts.none(rows, cols), T_map_base.xyt - np.array([*(corner * resolution), 0.0])
-    seen_from = (lidar.directions, recording.T_base_lidar.xyt, knots)
+    seen_from = (lidar.directions, lidar.shares, recording.T_base_lidar.xyt, knots)
     cast_beams(counts, resolution, (length, returned), seen_from, T_grid_base, config.occupied_share)
     return trimmed(classify(counts, config), corner, config), certainty(counts, config.min_hits)
 
@@ -272,18 +272,18 @@ def cast_beams(
     counts: Counts,
     resolution: float,
     beams: tuple[NDArray, NDArray],
-    lidar: tuple[Array, Array, Array],
+    lidar: tuple[Array, Array, Array, Array],
     T_grid_base: Array,
     share: float,
 ) -> None:
     """Trace the beams that returned, then those that did not: surfaces stop them.
 
     `beams` are lengths and whether they returned, as of `beam_lengths`; `lidar` are the unit vectors of the
-    beams, T_base_lidar, and the base's motion during each sweep, as of `known_motion`.
+    beams, when in the sweep they are taken, T_base_lidar, and the base's motion during each sweep, as of
+    `known_motion`.
     """
-    (length, returned), (directions, T_base_lidar, motion) = beams, lidar
+    (length, returned), (directions, fractions, T_base_lidar, motion) = beams, lidar
     n_scans, n_beams = length.shape
-    fractions = np.linspace(0.0, 1.0, n_beams)
     for with_return in (True, False):
         for scan in range(n_scans):
             origins, ways = deskewed(directions, fractions, T_base_lidar, motion[scan])

@@ -171,7 +171,11 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     if not np.isfinite([*lidar.values(), *calibration_of.values(), *ranges.values()]).all():
         raise ValueError("its lidar or its calibration is invalid")
     config = checked(SlamConfig, about["settings"], where="its settings")
+    # earlier versions took a negative increment as beams before the stamp
+    if lidar.setdefault("first_beam", -1.0) < 0.0 and lidar["time_increment"] < 0.0:
+        raise ValueError("its sweep runs backwards, as earlier versions read it; map its recording again")
     lidar["n_beams"], calibration_of["pairs"] = int(lidar["n_beams"]), int(calibration_of["pairs"])
+    lidar["first_beam"] = max(int(lidar["first_beam"]), 0)
     _check(stored, lidar["n_beams"])
     recording = _record(Recording, "", stored, source=str(about["source"]), lidar=LidarSpec(**lidar))
     calibration = _record(Calibration, "", stored, **calibration_of)

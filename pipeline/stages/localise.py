@@ -209,7 +209,7 @@ def sweep_ends(recording: Recording) -> SE2 | None:
     lidar, odometry = recording.lidar, recording.odometry
     if lidar.time_increment == 0.0 or odometry is None or np.any(np.diff(odometry.stamps_ns) <= 0):
         return None
-    return odometry.at(recording.stamps_ns + round(lidar.n_beams * lidar.time_increment * 1e9))
+    return odometry.at(recording.stamps_ns + round(lidar.n_beams * abs(lidar.time_increment) * 1e9))
 
 
 def load_localise_config(source: ConfigSource, settings: Chosen) -> LocaliseConfig:

@@ -132,7 +132,7 @@ def beams_in_map(recording: Recording, path: Trajectory, k: int) -> tuple[Array,
     if k + 1 < len(path) and path.stamps_ns[k + 1] > path.stamps_ns[k]:
         motion = T_map_base.inverse() @ path.poses[k + 1 : k + 2]
         step_s = float(path.stamps_ns[k + 1] - path.stamps_ns[k]) * 1e-9
-    fractions = np.arange(lidar.n_beams) * lidar.time_increment / step_s
+    fractions = lidar.order * abs(lidar.time_increment) / step_s
     origins, directions = deskewed(lidar.directions, fractions, recording.T_base_lidar.xyt, motion.xyt)
     return T_map_base @ origins, SE2.from_xyt(0.0, 0.0, T_map_base.yaw) @ directions
 

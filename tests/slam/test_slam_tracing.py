@@ -79,7 +79,14 @@ def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
     lidar, T_base_lidar = LidarSpec(beams, -2.0, 4.0 / (beams - 1), 0.1, 8.0), np.array([0.15, -0.08, 0.5])
     for moving in (motion, np.zeros((n, 1, 3))):
         found, expected = Counts.none(50, 60), Counts.none(50, 60)
-        cast_beams(found, res, (length, returned), (lidar.directions, T_base_lidar, moving), poses, 0.25)
+        cast_beams(
+            found,
+            res,
+            (length, returned),
+            (lidar.directions, lidar.shares, T_base_lidar, moving),
+            poses,
+            0.25,
+        )
         for with_return in (True, False):
             for k in range(n):
                 origins, ways = deskewed(

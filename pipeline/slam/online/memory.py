@@ -209,7 +209,7 @@ class GrowingLog:
 
 def heard(recording: Recording, first: int = 0) -> Iterator[tuple[Scan, SE2 | Trajectory | None]]:
     """The scans of a log from one on, with the odometry since the last one, as `Mapper.add` takes them."""
-    sweep_ns = nanoseconds(recording.lidar.time_increment * (recording.lidar.n_beams - 1))
+    sweep_ns = nanoseconds(recording.lidar.sweep_s)
     stream, begin = recording.odometry, 0
     if stream is not None and first > 0:
         earlier = np.searchsorted(stream.stamps_ns, recording.stamps_ns[first] - nanoseconds(BEFORE_S))

@@ -124,7 +124,8 @@ def make_clouds(
     def prepare(rows: slice) -> None:
         part = starts[rows.start : rows.stop + 1]
         these, ranges = slice(part[0], part[-1]), readings[rows][valid[rows]].astype(np.float64)
-        _place(valid[rows], ranges, lidar.directions, recording.T_base_lidar.xyt, knots[rows], points[these])
+        beams = lidar.directions, lidar.shares
+        _place(valid[rows], ranges, beams, recording.T_base_lidar.xyt, knots[rows], points[these])
         centers[these], point_var[these] = points[these], noise.variance(ranges)
         fit_lines(points, part, origin, increment, (normals, centers, line_ok, point_var, normal_var))
         bearing_tables(points, part, origin, table[rows])
@@ -135,14 +136,18 @@ def make_clouds(
 
 @njit(cache=True, nogil=True)
 def _place(
-    valid: NDArray, ranges: Array, beams: Array, T_base_lidar: Array, motion: Array, points: Array
+    valid: NDArray,
+    ranges: Array,
+    beams: tuple[Array, Array],
+    T_base_lidar: Array,
+    motion: Array,
+    points: Array,
 ) -> None:
     """End points of the valid beams (n, beams) with these ranges (m,), in the base frame at the sweep's
-    start."""
-    fractions = np.linspace(0.0, 1.0, len(beams))
+    start; `beams` are their unit vectors and when in the sweep they are taken."""
     row = 0
     for scan in range(len(valid)):
-        origins, directions = deskewed(beams, fractions, T_base_lidar, motion[scan])
+        origins, directions = deskewed(beams[0], beams[1], T_base_lidar, motion[scan])
         for beam in np.flatnonzero(valid[scan]):
             points[row, 0] = origins[beam, 0] + ranges[row] * directions[beam, 0]
             points[row, 1] = origins[beam, 1] + ranges[row] * directions[beam, 1]
