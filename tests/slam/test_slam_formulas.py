@@ -190,5 +190,5 @@ def test_residuals_in_standard_deviations_and_the_graph_as_text(tmp_path):
     found = place(2, 1, (poses[1].inverse() @ poses[2] @ SE2.from_xyt(0.3, 0.4, -0.2)).xyt)
     left = candidate(found, poses)
     assert (left["residual_m"], left["residual_rad"]) == pytest.approx((0.5, 0.2))
-    in_space = candidate(place(2, 1, se3.lifted(SE2(found.T_j_i))), se3.lifted(poses))
+    in_space = candidate(place(2, 1, se3.lifted(SE2(found.T_j_i))), se3.SE3(se3.lifted(poses)))
     assert (in_space["residual_m"], in_space["residual_rad"]) == pytest.approx((0.5, 0.2), rel=0.02)
