@@ -14,7 +14,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
 from turtlebag.pipeline.slam.check.verdict import SelfCheck, check_map
 from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Loop
@@ -74,9 +74,9 @@ class SlamConfig(Settings):
     refine: RefineConfig = RefineConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
-    def usable(self, lidar: LidarSpec) -> float:
-        """The range [m] beyond which returns of this lidar are ignored."""
-        return min(lidar.range_max, self.usable_range_m)
+    def usable(self, *lidars: MountedLidar) -> float:
+        """The range [m] beyond which returns of these lidars are ignored."""
+        return min(max(lidar.spec.range_max for lidar in lidars), self.usable_range_m)
 
     def effective(self) -> SlamConfig:
         """The settings that take effect: with odometry alone, it is the front end, and nothing moves a scan
@@ -183,7 +183,7 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
     """
     config, make = config.effective(), front_end_maker(config.effective().front_end)
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
-    usable = config.usable(log.lidar)
+    usable = config.usable(*log.lidars)
     log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
     scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
     ranges = range_errors(scans, track) if config.calibrate_ranges else RangeCalibration()
@@ -235,6 +235,6 @@ def draw_map(session: Session, config: SlamConfig) -> SlamResult:
     log, track, graph = session.recording, session.track, session.graph
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
     poses = carried_poses(track.T_track_base, track.keys, graph.T_map_keys, torn)
-    grid, certainty = make_checked_grid(log, poses, config.grid, config.usable(log.lidar), session.motion)
+    grid, certainty = make_checked_grid(log, poses, config.grid, config.usable(*log.lidars), session.motion)
     check = check_map(session, poses, certainty)
     return SlamResult(Trajectory(log.stamps_ns, poses), grid, check, session)

@@ -82,7 +82,7 @@ def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explai
         if not error.clouds:
             raise
         inputs.refuse_planar()
-        return map_clouds(source.path, source.topic, config, settings, explain=explain)
+        return map_clouds(source.path, next(iter(source.topics), None), config, settings, explain=explain)
     settled = _settled(config, settings)
     recordings = [first, *inputs.later()]
     notes = [note for one in recordings for note in _notes(one, several=len(recordings) > 1)]

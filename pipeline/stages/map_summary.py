@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,10 +121,30 @@ def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResul
         "keyframes": len(result.keys),
         "loops": loop_counts([loop.accepted for loop in result.loops]),
         "log_s": recording.duration(),
+        **_lidars(recording, result),
         **delay_metrics(recording),
         **metrics_of(recording.findings),
         "self_check": result.check.as_metrics(),
     }
+
+
+def _lidars(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, object]:
+    """What each of several lidars contributed."""
+    if isinstance(recording, Recording3D) or not recording.others:
+        return {}
+    session = cast("SlamResult", result).session
+    scans, of_key = recording.lidar_of, recording.lidar_of[session.track.keys]
+    errors = (session.ranges, *session.ranges.others)
+    rows = [
+        {
+            "topic": lidar.topic,
+            "scans": int(np.count_nonzero(scans == number)),
+            "keyframes": int(np.count_nonzero(of_key == number)),
+            **(errors[number].as_metrics() if number < len(errors) else {}),
+        }
+        for number, lidar in enumerate(recording.lidars)
+    ]
+    return {"lidars": rows}
 
 
 def loop_counts(accepted: Sequence[bool] | NDArray[np.bool_]) -> dict[str, int]:
