@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
+from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, drifted, recording
+from turtlebag.datasets.durations import nanoseconds
+from turtlebag.datasets.motion import without_gap
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.loops.by_appearance import joined_parts, relaxed
-from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, breaks_of
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, breaks_of, gaps_between
 from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig
@@ -169,3 +171,20 @@ def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, mov
     keys = np.arange(20)
     blind = replace(track, keys=keys, information=along, overlap=np.ones(20), usable=np.ones(20, dtype=bool))
     assert judged(log, blind).broken.sum() == broken
+
+
+@pytest.mark.parametrize("period_s", [0.1, 2.1])
+def test_a_gap_is_many_usual_periods_long_however_slow_the_lidar(period_s):
+    truth = around_the_room(60)
+    log = recording(ROOM, truth, odometry=drifted(truth))
+    steps = np.full(59, period_s)
+    log = replace(log, stamps_ns=nanoseconds(np.append(0.0, np.cumsum(steps))))
+    usual = track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
+    quick = replace(log, stamps_ns=nanoseconds(0.1 * np.arange(60.0)))
+    same = track_log(Scans.of(quick, 30.0), TrackingConfig(), Lines)
+    assert np.array_equal(usual.T_track_base.xyt, same.T_track_base.xyt)
+    assert without_gap(steps).all()
+    steps[30] = 10.0 * max(period_s, 0.3)
+    assert np.flatnonzero(~without_gap(steps)).tolist() == [30]
+    stamps_ns = nanoseconds(np.append(0.0, np.cumsum(steps)))
+    assert gaps_between(stamps_ns, np.ones(60, dtype=bool)).tolist() == [[30, 31]]

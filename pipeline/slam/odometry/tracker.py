@@ -8,6 +8,7 @@ odometry's systematic errors are learnt from the key scans on the way.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import is_gap
+from turtlebag.datasets.motion import gap_s
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
@@ -29,19 +30,23 @@ from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Key scans in the coarse search's field, and the size of its cells [m].
 FIELD_KEYS, FIELD_M = 30, 0.1
+# The usual time between scans is that of so many.
+WAITS = 64
 
 
 class Tracker:
     """The log as far as it is tracked. `scan` is the one placed last, or being placed; `velocity` (3,) is the
-    motion of the last placed scan since the one before, `keys` are the key scans. `max_range` is how far the
-    lidar is used [m]."""
+    motion of the last placed scan since the one before, `keys` are the key scans; `after_gap` says whether
+    `scan` follows so long after the one before that this tells nothing. `max_range` is how far the lidar is
+    used [m]."""
 
     def __init__(
         self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float, make: Maker
     ) -> None:
         self.clouds, self.config, self.max_range = clouds, config, max_range
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
-        self.scan, self.velocity = 0, np.zeros(3)
+        self.scan, self.velocity, self.after_gap = 0, np.zeros(3), False
+        self._waits_s = deque[float](maxlen=WAITS)
         self.keys: list[int] = []
         self.calibration = Calibration()
         self._make = make
@@ -69,6 +74,8 @@ class Tracker:
     def step(self, wait_s: float) -> None:
         """Place the next scan, taken this long after the last one [s]."""
         before, self.scan = self.scan, self.scan + 1
+        self._waits_s.append(wait_s)
+        self.after_gap = abs(wait_s) > gap_s(np.array(self._waits_s))
         step = None if self.odometry is None else self.odometry_since(before)
         if self._front_end is None:
             pose = self.pose if step is None else compose(self.pose, step)
@@ -84,7 +91,7 @@ class Tracker:
                     source = self._placed[scan].source
                     self._placed[scan] = replace(placed, T_track_base=pose, source=source, revised=())
             # the motion across a gap does not predict the next step
-            self.velocity = np.zeros(3) if is_gap(wait_s) else between(self.pose, placed.T_track_base)
+            self.velocity = np.zeros(3) if self.after_gap else between(self.pose, placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
         self._placed.append(placed)
         if moved and placed.sure and self._has_matches(self.scan):
