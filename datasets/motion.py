@@ -16,8 +16,8 @@ KNOTS = 8
 # fast [m/s, rad/s], however rarely it does.
 FASTER, NEARLY_ALWAYS = 1.3, 0.98
 ANY_ROBOT = (1.0, 4.0)
-# Between scans further apart than this [s] nothing is known.
-GAP_S = 2.0
+# Between scans further apart than this [s], and than this many usual periods, nothing is known.
+GAP_S, GAP_PERIODS = 2.0, 3.0
 
 
 def fastest(moved: Array, seconds: Array) -> Array:
@@ -27,14 +27,15 @@ def fastest(moved: Array, seconds: Array) -> Array:
     return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
 
 
-def is_gap(wait_s: float) -> bool:
-    """Whether nothing is known of the motion over this time between two scans [s], negative or not."""
-    return abs(wait_s) > GAP_S
+def gap_s(waits_s: Array) -> float:
+    """The time between two scans [s], negative or not, beyond which nothing is known of the motion, in a log
+    with these times between scans (n,)."""
+    return max(GAP_S, GAP_PERIODS * float(np.median(np.abs(waits_s)))) if len(waits_s) else GAP_S
 
 
 def without_gap(waits_s: Array) -> NDArray[np.bool_]:
-    """Which times between scans (n,) [s] are known and short enough to know the motion."""
-    return (waits_s > 0.0) & (waits_s < GAP_S)
+    """Which times between the scans of a log (n,) [s] are known and short enough to know the motion."""
+    return (waits_s > 0.0) & (waits_s < gap_s(waits_s))
 
 
 def way_and_turn(steps: Array) -> Array:

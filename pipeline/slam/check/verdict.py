@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S, without_gap
+from turtlebag.datasets.motion import FASTER, GAP_S
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -162,8 +162,9 @@ def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) ->
 
 
 def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of these stamps (n,) are followed by the next without a gap, (n - 1,)."""
-    return without_gap(seconds(np.diff(stamps_ns)))
+    """Which of these stamps (n,) are followed by the next soon enough for a single arc, (n - 1,)."""
+    waits = seconds(np.diff(stamps_ns))
+    return np.asarray((waits > 0.0) & (waits < GAP_S))
 
 
 def _sideways(T_map_base: SE2) -> Array:

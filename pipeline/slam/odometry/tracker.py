@@ -8,6 +8,7 @@ systematic errors are learnt from the key scans on the way.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import is_gap
+from turtlebag.datasets.motion import gap_s
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
@@ -29,19 +30,23 @@ from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Key scans in the coarse search's field, and the size of its cells [m].
 FIELD_KEYS, FIELD_M = 30, 0.1
+# The usual time between scans is that of so many.
+WAITS = 64
 
 
 class Tracker:
-    """The log as far as it is tracked. `scan` is the one placed last, or being placed; `velocity` (3,) is its
-    motion since the one before, `keys` are the key scans. `max_range` is how far the lidar is used [m]."""
+    """The log as far as it is tracked. `scan` is the one placed last, or being placed; `velocity` (3,) is the
+    motion of the last placed scan since the one before, `keys` are the key scans; `after_gap` says whether
+    `scan` follows so long after the one before that this tells nothing. `max_range` is how far the lidar is
+    used [m]."""
 
     def __init__(
         self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float, make: Maker
     ) -> None:
         self.clouds, self.config, self.max_range = clouds, config, max_range
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
-        self.scan, self.velocity, self.calibration = 0, np.zeros(3), Calibration()
-        self._make, self._lidars, self._waits_s = make, len(clouds.origin), [0.0]
+        self.scan, self.velocity, self.calibration, self.after_gap = 0, np.zeros(3), Calibration(), False
+        self._make, self._lidars, self._waits_s = make, len(clouds.origin), deque[float](maxlen=WAITS)
         self.keys: list[int] = []
         self._front_end: FrontEnd | None = None
         self._field: Field | None = None
@@ -68,6 +73,8 @@ class Tracker:
         if self._lidars > 1:
             self.velocity = self._velocity(wait_s)
         before, self.scan = self.scan, self.scan + 1
+        self._waits_s.append(wait_s)
+        self.after_gap = abs(wait_s) > gap_s(np.array(self._waits_s))
         step = None if self.odometry is None else self.odometry_since(before)
         last_key, moved = self._last_key(), True
         if self._front_end is None or last_key is None:
@@ -84,11 +91,11 @@ class Tracker:
                 if scan not in self.keys:
                     source = self._placed[scan].source
                     self._placed[scan] = replace(placed, T_track_base=pose, source=source, revised=())
-            self.velocity = np.zeros(3) if is_gap(wait_s) else between(self.pose, placed.T_track_base)
+            # the motion across a gap does not predict the next step
+            self.velocity = np.zeros(3) if self.after_gap else between(self.pose, placed.T_track_base)
             (x, y, turn), config = between(self.pose_of(last_key), placed.T_track_base), self.config
             moved = bool(np.hypot(x, y) > config.key_distance_m or abs(turn) > config.key_turn_rad)
         self._placed.append(placed)
-        self._waits_s = [*self._waits_s, wait_s][-self._lidars :]
         if moved and placed.sure and self._has_matches(self.scan):
             self._add_key()
 
@@ -162,8 +169,9 @@ class Tracker:
 
     def _velocity(self, wait_s: float) -> Array:
         """The motion to expect over this time: scans of several lidars do not come evenly."""
-        waits_s = self._waits_s[-self.scan :]
-        known = sum(waits_s) > 0.0 and not any(map(is_gap, [wait_s, *waits_s]))
+        waits_s = [*self._waits_s][-min(self._lidars, self.scan) :]
+        limit_s = gap_s(np.array([*self._waits_s, wait_s]))
+        known = sum(waits_s) > 0.0 and max(map(abs, [wait_s, *waits_s])) <= limit_s
         share = wait_s / sum(waits_s) if known else 0.0
         return share * between(self.pose_of(self.scan - len(waits_s)), self.pose)
 
