@@ -22,7 +22,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
 from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
-from turtlebag.pipeline.slam.scans.clouds import Clouds
+from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
 from turtlebag.pipeline.slam.scans.scans import Scans
@@ -38,8 +38,9 @@ OFFSET_M, SHARE = 0.01, 0.01
 TURN_SHARE = 0.005
 # The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
-# Errors smaller than this many standard deviations are none.
-SIGNIFICANT_SIGMAS = 3.0
+# Errors smaller than this many standard deviations are none, and those of more a priori are no lidar's: they
+# come from poses, glass, or people who walk about.
+SIGNIFICANT_SIGMAS, POSSIBLE_SIGMAS = 3.0, 4.0
 # Lines this many beams to either side must have the same direction, within this [rad]: lines cut corners and
 # bend round pillars, the more so at a distance.
 BESIDE, STRAIGHT_RAD = 6, 0.3
@@ -96,11 +97,10 @@ class RangeCalibration:
         return rays * share[:, None], np.column_stack([1.0 - 2.0 * self.square_per_m * ranges, share])
 
 
-def range_errors(scans: Scans, track: Track) -> RangeCalibration:
+def range_errors(scans: Scans, key_scans: KeyScans, track: Track) -> RangeCalibration:
     """The range errors of a short-range lidar, by the key scans of a track; none of any other."""
     if scans.recording.lidar.range_max > TRIANGULATES_M:
         return RangeCalibration()
-    key_scans = scans.of_keys(track.keys)
     return calibrate_ranges(*key_scans, track.T_track_base[track.keys], scans.usable_m)
 
 
@@ -110,7 +110,7 @@ def calibrate_ranges(
     """The calibration that best aligns what key scans (n,) saw, as placed by a front end.
 
     Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
-    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant error counts as none.
+    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant or impossible error counts as none.
     """
     pairs = overlapping_pairs(T_track_keys)
     prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
@@ -122,7 +122,8 @@ def calibrate_ranges(
             h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
         )
     significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGNIFICANT_SIGMAS**2
-    return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
+    possible = value @ prior @ value < POSSIBLE_SIGMAS**2
+    return RangeCalibration(*(float(v) for v in value)) if significant and possible else RangeCalibration()
 
 
 @njit(cache=True, nogil=True)
