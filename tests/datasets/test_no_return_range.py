@@ -148,3 +148,26 @@ def test_the_same_sweep_from_a_standing_robot_stays(odometry):
 def test_a_lidar_without_noise_may_measure_the_same_again():
     log = recording(CORRIDOR, np.tile(DRIVE[:1], (20, 1)), SICK, noise=0.0, odometry=DRIVE)
     assert without_repeats(log, 30.0) is log
+
+
+def test_a_code_that_few_beams_give_is_one_all_the_same():
+    """0.29 % of the readings stand at 26 m and nothing near: they became walls."""
+    rng = np.random.default_rng(4)
+    readings = np.round(rng.gamma(2.0, 2.0, (200, 180)), 2)
+    readings.flat[:: round(1 / 0.0029)] = 26.0
+    assert no_return_value(readings) == 26.0
+
+
+def test_several_codes_beside_each_other_are_all_codes():
+    """As a SICK of 2005 says it: 51.15, 51.14 and 50 m."""
+    rng = np.random.default_rng(5)
+    readings = np.round(rng.gamma(2.0, 4.0, (200, 180)), 2)
+    readings[:, :10], readings[:, 10:13], readings[:, 13] = 51.15, 51.14, 50.0
+    assert no_return_value(readings) == 50.0
+
+
+def test_a_wall_far_away_that_a_standing_robot_sees_again_and_again_is_a_wall():
+    rng = np.random.default_rng(6)
+    readings = np.round(rng.uniform(0.5, 8.0, (300, 180)), 2)
+    readings[:, 90] = np.round(20.0 + 0.01 * rng.standard_normal(300), 2)
+    assert no_return_value(readings) == np.inf
