@@ -43,6 +43,10 @@ from turtlebag.pipeline.slam.sessions import Session, join
 # Settings that the front end does not read; a change of any other one starts it anew.
 LATER = {"back_end", "loops", "place_recognition", "refine", "grid"}
 
+# A correction may raise the entropy of the map by less than the first factor, the misfit of its scans by less
+# than the second: both vary by as much without a cause.
+AS_SHARP, NO_WORSE = 1.02, 1.002
+
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
     Field(description="which sensors to use; with odometry alone, the map follows the wheels"),
@@ -182,7 +186,8 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
     """From a recording to a graph without loops: key scans, and the steps between them.
 
     Its sensors are corrected by each other, then its scans are followed one by one. Where these show errors
-    of the ranges or of the lidar's pose, they are followed again without, which counts if the map is sharper.
+    of the ranges or of the lidar's pose, they are followed again without, which counts if they fit each other
+    as well, or the map is as sharp. That of a lidar that sweeps in no time cannot tell of its pose.
     """
     config = config.effective()
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
@@ -194,12 +199,12 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
         errors = range_errors(tracked.scans, tracked.key_scans, tracked.track)
         if errors != ranges:
             again = _Tracked.of(errors.applied(tracked.log), config, progress)
-            if again.entropy_bits < tracked.entropy_bits:
+            if again.misfit_m < NO_WORSE * tracked.misfit_m:
                 tracked, ranges = again, errors
     setup = tracked.setup(lidar_pose)
     if setup.lidar_error is not None and log.lidar.time_increment != 0.0:
         again = _Tracked.of(setup.applied(tracked.log), config, progress)
-        if again.entropy_bits < tracked.entropy_bits:
+        if again.entropy_bits < AS_SHARP * tracked.entropy_bits:
             tracked, setup = again, again.setup(lidar_pose)
     track, evidence = tracked.track, tracked.evidence
     breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
@@ -232,10 +237,15 @@ class _Tracked:
 
     @cached_property
     def entropy_bits(self) -> float:
-        """How blurred its map is before loops are closed."""
-        log, scans, poses = self.log, self.scans, self.track.T_track_base
+        """How blurred its map is before loops are closed; askew, as chance sharpens walls along the cells."""
+        log, scans, poses = self.log, self.scans, SE2.from_xyt(0.0, 0.0, 0.5) @ self.track.T_track_base
         _, certainty = make_checked_grid(log, poses, self.config.grid, scans.usable_m, scans.motion)
         return certainty.entropy_bits
+
+    @property
+    def misfit_m(self) -> float:
+        """How far the points of a scan lie from the walls of others [m]."""
+        return float(self.track.rmse[self.track.fits].mean()) if self.track.fits.any() else 0.0
 
     def setup(self, T_base_lidar: SE2) -> SensorSetup:
         """The sensor set-up by its key scans; empty without odometry, or with nothing else."""

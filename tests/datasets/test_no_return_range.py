@@ -171,3 +171,14 @@ def test_a_wall_far_away_that_a_standing_robot_sees_again_and_again_is_a_wall():
     readings = np.round(rng.uniform(0.5, 8.0, (300, 180)), 2)
     readings[:, 90] = np.round(20.0 + 0.01 * rng.standard_normal(300), 2)
     assert no_return_value(readings) == np.inf
+
+
+def test_a_lidar_that_says_one_metre_in_all_directions_wherever_the_robot_is_sees_nothing():
+    log = recording(CORRIDOR, DRIVE, SICK, odometry=DRIVE)
+    rng = np.random.default_rng(7)
+    for noise in (0.0, 0.005):
+        ranges = (1.0 + noise * rng.standard_normal(log.ranges.shape)).astype(np.float32)
+        found = without_repeats(replace(log, ranges=ranges), 30.0)
+        # the first scans, up to 0.2 m away, may have seen a round place
+        assert np.flatnonzero(np.isnan(found.ranges).all(axis=1)).tolist() == list(range(3, 20))
+        assert "17 scans are one range in all directions although the odometry moves" in found.notes[-1]

@@ -39,8 +39,8 @@ TURN_SHARE = 0.005
 # The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
 # Errors smaller than this many standard deviations are none, and those of more a priori are no lidar's: they
-# come from poses, glass, or people who walk about.
-SIGNIFICANT_SIGMAS, POSSIBLE_SIGMAS = 3.0, 4.0
+# come from a lidar that is tilted, from glass, or from people who walk about.
+SIGNIFICANT_SIGMAS, POSSIBLE_SIGMAS = 3.0, 2.0
 # Lines this many beams to either side must have the same direction, within this [rad]: lines cut corners and
 # bend round pillars, the more so at a distance.
 BESIDE, STRAIGHT_RAD = 6, 0.3
