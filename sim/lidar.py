@@ -71,7 +71,9 @@ class Lidar:
         self._unit = LidarUnit(config.errors or LidarErrors(), rng) if config.noise == "sensor" else None
         self._T_base_lidar = robot.T_base_lidar.xyt
         self._movers: list[Sections] = []
-        self._sweep: Array = self.spec.order * (abs(self.spec.time_increment) / self.spec.scan_time)
+        self._sweep: Array = np.asarray(
+            self.spec.order * (abs(self.spec.time_increment) / self.spec.scan_time), float
+        )
 
     def surround(self, solids: Sequence[Solid]) -> None:
         """Set the solids around the lidar from now on."""

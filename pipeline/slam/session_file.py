@@ -32,6 +32,7 @@ from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.range_noise import range_noise
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
+from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup
 from turtlebag.pipeline.slam.sessions import Session, borders_of
 
 FILE = "graph.npz"
@@ -117,6 +118,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         "calibration": {k: v for k, v in vars(track.calibration).items() if np.ndim(v) == 0},
         "range_calibration": session.ranges.numbers(),
         "range_calibration_of_others": [errors.numbers() for errors in session.ranges.others],
+        "sensors": session.setup.as_records(),
     }
     arrays = {"about": _text(about)} | ({} if session.motion is None else {"motion": session.motion.xyt})
     arrays |= _arrays("", recording) | _arrays("", track.calibration) | _arrays("", graph)
@@ -196,6 +198,7 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
         breaks=_record(TrackBreaks, "breaks_", stored),
         graph=graph,
         ranges=replace(ranges, others=tuple(more)),
+        setup=SensorSetup.of_records(about.get("sensors", [])),
     ), config
 
 

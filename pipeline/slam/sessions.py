@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, KeyScans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
+from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup
 
 BORDER = np.diag([25.0, 25.0, 100.0])
 """Information of the constraint between two sessions: 0.2 m and 0.1 rad."""
@@ -33,7 +34,7 @@ class Session:
 
     Of the scans' points only those of the key scans stay in memory, `key_scans`. `motion` is the base's
     during each sweep, None if a sweep is one instant. The recording's ranges are corrected already; `ranges`
-    is the error of those of the first one.
+    is the error of those of the first one, and `setup` its sensors.
     """
 
     recording: Recording
@@ -44,6 +45,7 @@ class Session:
     breaks: TrackBreaks
     graph: Graph
     ranges: RangeCalibration
+    setup: SensorSetup = field(default_factory=SensorSetup)
 
     @property
     def unconfirmed(self) -> NDArray[np.int64]:

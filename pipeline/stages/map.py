@@ -130,8 +130,8 @@ def _map_scans(
             write_explanation(folder, result, config)
 
     parts = {"parts": config.parts()}
-    ranges = result.session.ranges.as_metrics()
-    return Mapped(recording, config, result, loop_record(result), write, metrics=ranges, manifest=parts)
+    sensors = {**result.session.ranges.as_metrics(), **result.session.setup.as_metrics()}
+    return Mapped(recording, config, result, loop_record(result), write, metrics=sensors, manifest=parts)
 
 
 def _require_name(named: str | None) -> None:

@@ -91,6 +91,8 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
     )
     if metrics["self_check"]["revisits"] == 0:
         yield "no place was seen twice, so the self-check had nothing to compare"
+    if said := lookup(metrics, "self_check.scale.said"):
+        yield said
     if "range_error_m" in metrics:
         near, far = (f"{1e3 * off:+.0f} mm" for off in metrics["range_error_m"].values())
         yield f"the lidar's ranges are off by {near} at 1 m and {far} at 3 m, as the scans show; corrected"

@@ -7,7 +7,8 @@ Lost scans: poses constrained by neither walls nor odometry. Impossible motions:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.base import Verdict
+from turtlebag.pipeline.slam.check.size import Size, size_of
 from turtlebag.pipeline.slam.check.uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
@@ -50,6 +52,11 @@ class SelfCheck(Verdict):
     wall_share: float
     violations: Array
     reasons: tuple[str, ...]
+    size: Size = field(default_factory=Size)
+
+    def as_metrics(self) -> dict[str, Any]:
+        """The numbers, and `scale`: how well the map's size is known."""
+        return {**super().as_metrics(), **self.size.as_metrics()}
 
 
 def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCheck:
@@ -107,7 +114,8 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
         )
     violations = np.column_stack([pairs, share])
     decided = certainty.entropy_bits, certainty.wall_share
-    return SelfCheck(len(share), mean, bad, len(lost), sigma, *decided, violations, tuple(reasons))
+    size = size_of(session.setup)
+    return SelfCheck(len(share), mean, bad, len(lost), sigma, *decided, violations, tuple(reasons), size)
 
 
 def revisits_of(T_map_keys: SE2) -> NDArray[np.int64]:

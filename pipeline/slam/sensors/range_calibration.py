@@ -39,8 +39,9 @@ OFFSET_M, SHARE = 0.01, 0.01
 TURN_SHARE = 0.005
 # The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
-# Errors smaller than this many standard deviations are none.
-SIGNIFICANT_SIGMAS = 3.0
+# Errors smaller than this many standard deviations are none, and those of more a priori are no lidar's: they
+# come from a lidar that is tilted, from glass, or from people who walk about.
+SIGNIFICANT_SIGMAS, POSSIBLE_SIGMAS = 3.0, 2.0
 # Lines this many beams to either side must have the same direction, within this [rad]: lines cut corners and
 # bend round pillars, the more so at a distance.
 BESIDE, STRAIGHT_RAD = 6, 0.3
@@ -126,7 +127,7 @@ def calibrate_ranges(
     """The calibration that best aligns what key scans (n,) saw, as placed by a front end.
 
     Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
-    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant error counts as none.
+    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant or impossible error counts as none.
     """
     pairs = overlapping_pairs(T_track_keys)
     prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
@@ -138,7 +139,9 @@ def calibrate_ranges(
             h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
         )
     significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGNIFICANT_SIGMAS**2
-    return RangeCalibration(float(value[0]), float(value[1])) if significant else RangeCalibration()
+    possible = value @ prior @ value < POSSIBLE_SIGMAS**2
+    found = RangeCalibration(float(value[0]), float(value[1]))
+    return found if significant and possible else RangeCalibration()
 
 
 @njit(cache=True, nogil=True)
