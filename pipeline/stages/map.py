@@ -85,7 +85,7 @@ def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explai
         if not error.clouds:
             raise
         inputs.refuse_planar()
-        return map_clouds(source.path, source.topic, config, settings, explain=explain)
+        return map_clouds(source.path, next(iter(source.topics), None), config, settings, explain=explain)
     settled = _settled(config, settings)
     recordings = [first, *inputs.later()]
     notes = [note for one in recordings for note in _notes(one, several=len(recordings) > 1)]
@@ -135,8 +135,8 @@ def _map_scans(
             write_explanation(folder, result, config)
 
     parts = {"parts": config.parts()}
-    ranges = result.session.ranges.as_metrics()
-    return Mapped(recording, config, result, loop_record(result), write, metrics=ranges, manifest=parts)
+    sensors = {**result.session.ranges.as_metrics(), **result.session.setup.as_metrics()}
+    return Mapped(recording, config, result, loop_record(result), write, metrics=sensors, manifest=parts)
 
 
 def _require_name(named: str | None) -> None:

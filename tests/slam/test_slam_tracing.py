@@ -80,7 +80,10 @@ def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
     lidar, T_base_lidar = LidarSpec(beams, -2.0, 4.0 / (beams - 1), 0.1, 8.0), np.array([0.15, -0.08, 0.5])
     for moving in (motion, np.zeros((n, 1, 3))):
         found, expected = Counts.none(50, 60), Counts.none(50, 60)
-        cast_beams(found, res, (length, returned), (lidar.directions, T_base_lidar, moving), poses, 0.25)
+        for with_return in (True, False):
+            seen_from = (lidar.directions, lidar.shares, T_base_lidar, moving)
+            traced = (length, returned == with_return)
+            cast_beams(found, res, traced, seen_from, poses, (with_return, 0.25))
         for with_return in (True, False):
             for k in range(n):
                 origins, ways = deskewed(
@@ -256,7 +259,7 @@ def test_a_field_holds_how_near_the_nearest_point_is():
     # what a beam passed through is empty, all else unseen
     seen = np.zeros((rows, cols), dtype=bool)
     for k in (2, 0):
-        lidar = (SE2(poses[k]) @ clouds.origin - field.corner) / res
+        lidar = (SE2(poses[k]) @ clouds.origin[0] - field.corner) / res
         for end in (SE2(poses[k]) @ clouds.of(k) - field.corner) / res:
             steps = int(np.abs(end - lidar).max())
             way = np.floor(lidar + (end - lidar) * (np.arange(steps) / max(steps, 1))[:, None]).astype(int)

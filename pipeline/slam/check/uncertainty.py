@@ -179,7 +179,7 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved_m:
         yield np.array(seen), RANGE_SHARE * along
     odometry = [k for k, c in enumerate(constraints) if c.kind is Kind.WHEELS]
     if odometry:
-        effects = track.calibration.effects(np.array([constraints[k].T_i_j for k in odometry]))
+        effects = _calibration_effects(np.array([constraints[k].T_i_j for k in odometry]))
         yield np.array(odometry), effects @ np.linalg.cholesky(track.calibration.covariance)
     motions = {c.i: k for k, c in enumerate(constraints) if c.kind in (Kind.STEADY, Kind.WHEELS)}
     way = np.diff(np.cumsum(unobserved_m)[track.keys])
@@ -198,6 +198,16 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved_m:
             error[:, 0, 1] = off * way[keys] * np.sin(yaw)
             error[:, 1, 0] = -error[:, 0, 1]
             yield of, error
+
+
+def _calibration_effects(steps: Array) -> Array:
+    """How far each error of the calibration moves the ends of corrected steps (n, 3), in the ends' frames
+    (n, 3, 3)."""
+    x, y, yaw = steps.T
+    out = np.zeros((len(steps), 3, 3))
+    out[:, 0, 0], out[:, 1, 0] = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
+    out[:, 2, 1], out[:, 2, 2] = yaw, x
+    return out
 
 
 def _unsteadiness(track: Track, unobserved_m: Array, scans: int) -> float:

@@ -8,14 +8,14 @@ Lost scans: poses constrained by neither walls nor odometry. Impossible motions:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S, way_and_turn, without_gap
+from turtlebag.datasets.motion import FASTER, GAP_S, way_and_turn
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -24,6 +24,7 @@ from turtlebag.pipeline.slam.check.p_bad import Term, doublings, p_bad, reasons
 from turtlebag.pipeline.slam.check.uncertainty import Uncertainty
 from turtlebag.pipeline.slam.graph.constraints import Kind
 from turtlebag.pipeline.slam.graph.cost import mahalanobis
+from turtlebag.pipeline.slam.check.size import Size, size_of
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
@@ -59,10 +60,11 @@ class SelfCheck(Verdict):
     violations: Array
     terms: dict[str, float]
     reasons: tuple[str, ...]
+    size: Size = field(default_factory=Size)
 
     def as_metrics(self) -> dict[str, Any]:
-        """The self-check's entry in metrics.json."""
-        return {**super().as_metrics(), "terms": self.terms}
+        """The numbers, the terms, and `scale`: how well the map's size is known."""
+        return {**super().as_metrics(), "terms": self.terms, **self.size.as_metrics()}
 
 
 def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertainty: Uncertainty) -> SelfCheck:
@@ -95,6 +97,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertain
         np.column_stack([pairs, share]),
         {term.name: round(term.size, 6) for term in terms},
         reasons(terms),
+        size_of(session.setup),
     )
 
 
@@ -266,8 +269,9 @@ def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) ->
 
 
 def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of these stamps (n,) are followed by the next without a gap, (n - 1,)."""
-    return without_gap(seconds(np.diff(stamps_ns)))
+    """Which of these stamps (n,) are followed by the next soon enough for a single arc, (n - 1,)."""
+    waits = seconds(np.diff(stamps_ns))
+    return np.asarray((waits > 0.0) & (waits < GAP_S))
 
 
 def _sideways(T_map_base: SE2) -> Array:
