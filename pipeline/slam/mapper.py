@@ -252,11 +252,12 @@ class _Tracked:
         return float(self.track.rmse[self.track.fits].mean()) if self.track.fits.any() else 0.0
 
     def setup(self, T_base_lidar: SE2) -> SensorSetup:
-        """The sensor set-up by its key scans; empty without odometry, or with nothing else."""
-        if self.log.T_odom_base is None or self.config.front_end == "wheels":
+        """The sensor set-up by the key scans of the first lidar; empty without odometry, or by it alone."""
+        keys = self.track.keys[self.log.lidar_of[self.track.keys] == 0]
+        if self.log.T_odom_base is None or self.config.front_end == "wheels" or len(keys) < 2:
             return SensorSetup()
-        T_track_keys = self.track.T_track_base[self.track.keys]
-        return sensor_setup(self.log, self.key_scans, T_track_keys, T_base_lidar)
+        key_scans = KeyScans(self.key_scans.clouds, keys)
+        return sensor_setup(self.log, key_scans, self.track.T_track_base[keys], T_base_lidar)
 
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
