@@ -75,7 +75,7 @@ class Amcl:
     @property
     def converged(self) -> bool:
         """Whether the whole cloud is one narrow cluster."""
-        return self._at.estimate is not None and narrow(self.covariance)
+        return self._at.estimate is not None and narrow(self._at.estimate.covariance)
 
     @property
     def T_map_odom(self) -> SE2:
@@ -90,10 +90,18 @@ class Amcl:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the whole cloud about the estimate at the last update, (3, 3): x, y, yaw."""
+        """Covariance of the estimate at the last update, (3, 3): x, y, yaw.
+
+        It is that of the whole cloud until that has converged, and as much more as at the start while scans
+        disagree with the map.
+        """
         if self._at.estimate is None:
             raise ValueError("the filter has no pose yet: initialise it and update it with a scan")
-        return self._at.estimate.covariance
+        fine = None if self._fine is None or not self.converged else self._fine.covariance
+        found = self._at.estimate.covariance if fine is None else fine
+        c = self.config
+        start = np.diag([c.initial_cov_xx, c.initial_cov_yy, c.initial_cov_aa])
+        return found if self.agrees else found + start
 
     @property
     def particles(self) -> SE2:

@@ -65,6 +65,15 @@ class OccupancyConfig(Settings):
     )
 
 
+class CheckedGrid(NamedTuple):
+    """A grid, how certain its cells are as a whole, and the `confidence` of each (rows, cols): the
+    probability that it is as it is drawn, 0 where it is unknown."""
+
+    grid: OccupancyGrid
+    certainty: Certainty
+    confidence: Array
+
+
 class Counts(NamedTuple):
     """For each cell (rows, cols), the number of beams that it returned, and of those that passed through
     it."""
@@ -95,7 +104,7 @@ def make_grid(
     motion: SE2 | None = None,
 ) -> OccupancyGrid:
     """Grid of all scans at poses (n,); cell borders lie on multiples of the resolution."""
-    return make_checked_grid(recording, T_map_base, config, usable_range, motion)[0]
+    return make_checked_grid(recording, T_map_base, config, usable_range, motion).grid
 
 
 def make_checked_grid(
@@ -104,7 +113,7 @@ def make_checked_grid(
     config: OccupancyConfig,
     usable_range: float,
     motion: SE2 | None = None,
-) -> tuple[OccupancyGrid, Certainty]:
+) -> CheckedGrid:
     """As `make_grid`, with the quality of the counts behind it."""
     resolution, views = config.resolution_m, _views(recording, T_map_base, config, usable_range)
     seen = [view.length.max(axis=1)[:, None] for view in views]
@@ -126,7 +135,20 @@ def make_checked_grid(
             seen_from = (spec.directions, spec.shares, view.lidar.T_base_lidar.xyt, knots[view.scans])
             how = with_return, config.occupied_share
             cast_beams(counts, resolution, beams, seen_from, T_grid_base[view.scans], how)
-    return trimmed(classify(counts, config), corner, config), certainty(counts, config.min_hits)
+    grid = trimmed(classify(counts, config), corner, config)
+    col, row = np.rint(grid.T_map_grid.xy / resolution - corner).astype(int)
+    kept = (slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1]))
+    confidence = cell_confidence(grid.cells, counts.hits[kept], counts.misses[kept], config.occupied_share)
+    return CheckedGrid(grid, certainty(counts, config.min_hits), confidence)
+
+
+def cell_confidence(
+    cells: NDArray[np.int8], hits: NDArray[np.uint16], misses: NDArray[np.uint16], occupied_share: float
+) -> Array:
+    """The probability that each cell (rows, cols) is as it is drawn: that of many more beams it would return
+    `occupied_share`, or fewer where it is free (Beta distribution, Jeffreys' prior)."""
+    free = scipy.special.betainc(hits + 0.5, misses + 0.5, occupied_share)
+    return np.asarray(np.where(cells == OCCUPIED, 1.0 - free, np.where(cells == FREE, free, 0.0)))
 
 
 class View(NamedTuple):

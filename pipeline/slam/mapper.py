@@ -14,9 +14,10 @@ from pydantic import Field
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.motion import sweeps
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
+from turtlebag.pipeline.slam.check.uncertainty import Uncertainty, scan_covariances, shared_errors
 from turtlebag.pipeline.slam.check.verdict import SelfCheck, check_map
 from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Loop
@@ -116,10 +117,13 @@ class SlamConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class SlamResult:
-    """A pose per scan in file order, the grid, and their session."""
+    """A pose per scan in file order, the `covariance` of each (n, 3, 3), the grid, the `confidence` in each
+    of its cells (rows, cols), and their session."""
 
     trajectory: Trajectory
+    covariance: Array
     grid: OccupancyGrid
+    confidence: Array
     check: SelfCheck
     session: Session
 
@@ -300,6 +304,11 @@ def draw_map(session: Session, config: SlamConfig) -> SlamResult:
     log, track, graph = session.recording, session.track, session.graph
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
     poses = carried_poses(track.T_track_base, track.keys, graph.T_map_keys, torn)
-    grid, certainty = make_checked_grid(log, poses, config.grid, config.usable(*log.lidars), session.motion)
-    check = check_map(session, poses, certainty)
-    return SlamResult(Trajectory(log.stamps_ns, poses), grid, check, session)
+    drawn = make_checked_grid(log, poses, config.grid, config.usable(*log.lidars), session.motion)
+    constraints = graph.constraints
+    shared = shared_errors(track, constraints, session.evidence.unobserved_m)
+    uncertainty = Uncertainty.of(graph.T_map_keys, constraints, shared)
+    check = check_map(session, poses, drawn.certainty, uncertainty)
+    covariance = scan_covariances(uncertainty, track, poses, log.stamps_ns)
+    trajectory = Trajectory(log.stamps_ns, poses)
+    return SlamResult(trajectory, covariance, drawn.grid, drawn.confidence, check, session)

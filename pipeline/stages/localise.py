@@ -21,7 +21,7 @@ from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.trajectories import load_tum, save_tum
+from turtlebag.datasets.trajectories import load_tum, save_covariances, save_tum
 from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.localisation.localiser import Localiser
@@ -51,11 +51,13 @@ class LocaliseConfig(Settings, allow_inf_nan=False):
 class Localisation:
     """What the filter said while the recording went by.
 
-    `trajectory` has one pose a scan, each as known at that scan (never corrected afterwards);
-    `converged`, `updated` (n,) bool and `particles` (n,) say how the filter stood then.
+    `trajectory` has one pose a scan, each as known at that scan (never corrected afterwards), `covariance`
+    (n, 3, 3) that of each on the map; `converged`, `updated` (n,) bool and `particles` (n,) say how the
+    filter stood then.
     """
 
     trajectory: Trajectory
+    covariance: np.ndarray
     converged: np.ndarray
     updated: np.ndarray
     particles: np.ndarray
@@ -86,8 +88,7 @@ def localise(
     grid = load_map(map_yaml)
     if isinstance(initial_pose, SE2):
         require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), map_yaml)
-    recording = source.load()
-    recording = of_each_lidar(recording, _compared)
+    recording = aligned_in_time(source.load())
     truth = None if truth is None else truth_folder(truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)
@@ -107,6 +108,8 @@ def localise(
     with out.staged() as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
+        if result is not None:
+            save_covariances(result.trajectory, result.covariance, folder)
         parts: dict[str, str | None] = {"localiser": config.localiser}
         inputs = {"bag": source.path, **map_files(map_yaml), **source_files(parts)}
         inputs |= {"truth": truth} if truth else {}
@@ -121,6 +124,11 @@ def localise(
     if result is not None:
         _summarise(metrics, out.folder)
     return 0 if metrics.get("true_success", metrics["success"]) else 1
+
+
+def aligned_in_time(recording: Recording) -> Recording:
+    """The recording with scans and odometry of the same time, and each lidar facing as it does."""
+    return of_each_lidar(recording, _compared)
 
 
 def _summarise(metrics: dict[str, Any], out: Path) -> None:
@@ -164,17 +172,19 @@ def run_amcl(
     T_odom_base = checked_odometry(recording).poses
     T_odom_base_end = sweep_ends(recording)
     amcl = started(grid, recording.lidars, initial_pose, config, rng)
-    poses, converged, updated, particles, update_s = [], [], [], [], []
+    poses, covariance, converged, updated, particles, update_s = [], [], [], [], [], []
     for i in track(range(len(recording)), "localising"):
         watch = Stopwatch()
         end = None if T_odom_base_end is None else T_odom_base_end[i]
         updated.append(amcl.update(recording.scan(i), T_odom_base[i], end))
         update_s.append(watch.seconds())
         poses.append(amcl.T_map_odom @ T_odom_base[i])
+        covariance.append(amcl.covariance)
         converged.append(amcl.converged)
         particles.append(len(amcl.particles))
     return Localisation(
         Trajectory(recording.stamps_ns, SE2.stack(poses)),
+        np.array(covariance),
         np.array(converged),
         np.array(updated),
         np.array(particles),

@@ -17,6 +17,7 @@ from turtlebag.pipeline.slam.grid import (
     beam_lengths,
     beside,
     cast_beams,
+    cell_confidence,
     certainty,
     classify,
     make_checked_grid,
@@ -218,9 +219,27 @@ def test_a_sweep_in_motion_is_drawn_by_its_own_odometry_or_by_what_it_is_told():
     config = OccupancyConfig(min_hits=1)
     ahead = SE2.from_xyt(np.full((1, KNOTS), 0.4), np.zeros((1, KNOTS)), np.zeros((1, KNOTS)))
     for motion, farthest in ((None, 2.5), (ahead, 2.4)):
-        grid, _ = make_checked_grid(log, SE2.identity(1), config, 30.0, motion)
+        grid = make_checked_grid(log, SE2.identity(1), config, 30.0, motion).grid
         walls = np.argwhere(grid.cells == OCCUPIED)[:, 1] * 0.05 + 0.025 + grid.T_map_grid.x
         assert walls.max() == pytest.approx(farthest, abs=0.04)
+
+
+def test_a_cell_is_the_surer_the_more_beams_agree_on_it():
+    cells = np.array([[OCCUPIED, OCCUPIED, OCCUPIED, FREE, FREE, UNKNOWN]], dtype=np.int8)
+    hits = np.array([[2, 50, 13, 0, 0, 0]], dtype=np.uint16)
+    misses = np.array([[1, 5, 38, 1, 80, 0]], dtype=np.uint16)
+    (few, many, even, once, often, unknown) = cell_confidence(cells, hits, misses, 0.25)[0].tolist()
+    assert 0.4 < even < 0.7 < few < many
+    assert 0.5 < once < 0.95 < often <= 1.0
+    assert unknown == 0.0
+
+
+def test_the_confidence_of_a_grid_has_its_cells():
+    poses = around_the_room(5)
+    drawn = make_checked_grid(recording(ROOM, poses), SE2(poses), OccupancyConfig(margin_m=0.3), 30.0)
+    assert drawn.confidence.shape == drawn.grid.shape
+    assert ((drawn.confidence > 0.0) == (drawn.grid.cells != UNKNOWN)).all()
+    assert drawn.confidence[drawn.grid.cells == OCCUPIED].mean() > 0.8
 
 
 @pytest.mark.slow
