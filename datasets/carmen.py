@@ -32,8 +32,8 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.trajectories import stamp_from_text
 from turtlebag.datasets.types import LidarSpec, Recording, Stamps
 
-FAR = 49.99
-"""No planar lidar of these logs sees farther: larger readings are codes for "no return" [m]."""
+FAR = 81.8
+"""No planar lidar of these logs sees farther: the SICK's codes for "no return" begin there [m]."""
 
 _HALF_CIRCLES = (180, 181, 360, 361)
 """Numbers of beams of a SICK that sees half a circle."""
