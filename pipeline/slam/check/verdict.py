@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S
+from turtlebag.datasets.motion import FASTER, GAP_S, gap_s
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -88,6 +88,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
     empty = int(np.count_nonzero(~track.usable))
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{counted(empty, 'scan')} {verb(empty, 'sees', 'see')} no surface")
+    reasons += _back_in_time(evidence)
     reasons += _jumps(evidence, T_map_base, _steps_in_gap(recording))
     slid = slides(recording, T_map_base, evidence.borders)
     if len(slid):
@@ -133,6 +134,20 @@ def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
             many, first = counted(len(jumped), "jump"), jumped[0, 1]
             return [f"{many} farther than the robot can drive (first: to scan {first})"]
     return []
+
+
+def _back_in_time(evidence: Evidence) -> list[str]:
+    """Whether the clock went back within a log by more than a gap: scans and odometry may not belong to each
+    other from there on. Shorter steps back are messages out of order."""
+    waits = seconds(np.diff(evidence.stamps_ns))
+    back = 1 + np.flatnonzero(waits < -gap_s(waits))
+    back = np.setdiff1d(back, evidence.borders)
+    if not len(back):
+        return []
+    return [
+        f"the stamps go back by {-waits[back[0] - 1]:.1f} s (first: at scan {back[0]}): "
+        "scans and odometry may be of different times from there on"
+    ]
 
 
 def _steps_in_gap(recording: Recording) -> int:
