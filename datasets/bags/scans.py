@@ -141,7 +141,7 @@ def _lidar(topic: str, key: Geometry, scans: Sequence[RawScan], findings: list[F
         remedy = "taken as 0" if sweep_s > _LONGEST_SWEEP_S else ""
         findings.append(Finding("sweep time", topic, what, len(scans), remedy=remedy))
         times[0] = 0.0 if sweep_s > _LONGEST_SWEEP_S else times[0]
-    return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
+    return LidarSpec(key.n, key.angle_min, step, range_min, range_max, times[0], times[1])
 
 
 def _period_s(scans: Sequence[RawScan]) -> float:

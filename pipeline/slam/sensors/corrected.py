@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.sensors.gyro_slip import with_gyro
@@ -19,7 +21,7 @@ def with_sensors(recording: Recording, sensors: str, front_end: str, *, deskew: 
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map")
     if not deskew:
-        recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
+        recording = of_each_lidar(recording, _at_once)
     if sensors == "lidar":
         return replace(recording, T_odom_base=None, odometry=None)
     if recording.T_odom_base is None and (sensors == "odometry" or front_end == "wheels"):
@@ -35,11 +37,20 @@ def corrected(recording: Recording, usable_m: float, *, gyro: bool, matched: boo
 
     Odometry that does not turn when the scans do is left out if scans are `matched`.
     """
+    recording = of_each_lidar(recording, partial(_compared, usable_m=usable_m, matched=matched))
+    return with_gyro(recording) if gyro else recording
+
+
+def _compared(recording: Recording, usable_m: float, matched: bool) -> Recording:
     recording = without_repeats(without_own_body(recording), usable_m)
     turns = compared_turns(recording)
     if turns.alike:
-        recording = facing(in_step(recording, turns))
-    elif matched:
+        return facing(in_step(recording, turns))
+    if matched:
         said = "the odometry does not turn when the scans do (is it from another drive?): not used"
-        recording = replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
-    return with_gyro(recording) if gyro else recording
+        return replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
+    return recording
+
+
+def _at_once(recording: Recording) -> Recording:
+    return replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
