@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,7 +28,7 @@ from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.loops.closure import close_graph
+from turtlebag.pipeline.slam.loops.closure import close_graph, look_again
 from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.follow import follow
@@ -35,7 +36,7 @@ from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M, KeyScans
+from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.corrected import corrected, with_sensors
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration, range_errors
@@ -68,8 +69,8 @@ class SlamConfig(Settings):
         default="lines",
         description="estimates the scans' poses: our line tracker, KISS-ICP, odometry, or your own class",
     )
-    usable_range_m: float = Field(
-        default=USABLE_M, gt=0.0, description="longer returns are neither matched nor mapped"
+    usable_range_m: float | None = Field(
+        default=None, gt=0.0, description="longer returns are neither matched nor mapped; null: all are used"
     )
     deskew: bool = Field(default=True, description="deskew the scans; switch off if the driver already does")
     gyro: bool = Field(default=True, description="use the gyro where the wheels slip while turning")
@@ -85,7 +86,7 @@ class SlamConfig(Settings):
 
     def usable(self, *lidars: MountedLidar) -> float:
         """The range [m] beyond which returns of these lidars are ignored."""
-        return min(max(lidar.spec.range_max for lidar in lidars), self.usable_range_m)
+        return min(max(lidar.spec.range_max for lidar in lidars), self.usable_range_m or math.inf)
 
     def effective(self) -> SlamConfig:
         """The settings that take effect: with odometry alone, it is the front end, and nothing moves a scan
@@ -267,19 +268,21 @@ class _Tracked:
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
     """The session with the loops of its graph closed, by distance and by appearance, and the poses of all
-    overlapping key scans refined together."""
+    overlapping key scans refined together, again as long as that brings further loops within reach."""
     config, keys = config.effective(), session.track.keys
     scans, graph, back_end = session.key_scans, session.graph, make_back_end(config.back_end)
-    by_hand = KeyEdits.of(edits, keys)
-    if config.loops.enabled and len(keys) > 2:
-        loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
-        closing = LoopClosing(loops, by_hand, back_end)
+    by_hand, refined = KeyEdits.of(edits, keys), config.refine.rounds > 0 and len(keys) > 2
+    loops = config.loops if refined else config.loops.model_copy(update={"held_m": 0.0})
+    closing, closed = LoopClosing(loops, by_hand, back_end), loops.enabled and len(keys) > 2
+    if closed:
         graph = close_graph(scans, graph, session.breaks, closing, config.place_recognition, progress)
-    if config.refine.rounds > 0 and len(keys) > 2:
+    more: Graph | None = graph
+    while refined and more is not None:
         poses, constraints = refine(
-            *scans, graph.T_map_keys, graph.constraints, config.refine, by_hand, back_end
+            *scans, more.T_map_keys, more.constraints, config.refine, by_hand, back_end
         )
-        graph = replace(graph, T_map_keys=poses, constraints=constraints)
+        graph = replace(more, T_map_keys=poses, constraints=constraints)
+        more = look_again(scans, graph, closing) if closed else None
     return replace(session, graph=graph)
 
 

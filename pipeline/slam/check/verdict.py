@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S, way_and_turn
+from turtlebag.datasets.motion import FASTER, GAP_S, gap_s, way_and_turn
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -148,9 +148,9 @@ def _breaks(session: Session) -> Iterator[Term]:
 
 
 def _motions(session: Session, T_map_base: SE2) -> Iterator[Term]:
-    """Jumps and slides that the robot cannot have made."""
+    """Jumps and slides that the robot cannot have made, and a clock that went back."""
     recording, evidence = session.recording, session.evidence
-    for reason in _jumps(evidence, T_map_base, _steps_in_gap(recording)):
+    for reason in (*_back_in_time(evidence), *_jumps(evidence, T_map_base, _steps_in_gap(recording))):
         yield Term("moved", 1.0, reason)
         return
     slid = slides(recording, T_map_base, evidence.borders)
@@ -240,6 +240,20 @@ def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
             many, first = counted(len(jumped), "jump"), jumped[0, 1]
             return [f"{many} farther than the robot can drive (first: to scan {first})"]
     return []
+
+
+def _back_in_time(evidence: Evidence) -> list[str]:
+    """Whether the clock went back within a log by more than a gap: scans and odometry may not belong to each
+    other from there on. Shorter steps back are messages out of order."""
+    waits = seconds(np.diff(evidence.stamps_ns))
+    back = 1 + np.flatnonzero(waits < -gap_s(waits))
+    back = np.setdiff1d(back, evidence.borders)
+    if not len(back):
+        return []
+    return [
+        f"the stamps go back by {-waits[back[0] - 1]:.1f} s (first: at scan {back[0]}): "
+        "scans and odometry may be of different times from there on"
+    ]
 
 
 def _steps_in_gap(recording: Recording) -> int:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import gross
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.sensors.turn_comparison import (
     thinning,
@@ -52,7 +51,7 @@ def turned_by_deg(recording: Recording) -> float:
     """Error of the laser's declared yaw [deg]; 0 also if unknown."""
     if recording.T_odom_base is None or len(recording) <= SCANS:
         return 0.0
-    noise = range_noise(recording, USABLE_M)
+    noise = range_noise(recording, recording.lidar.range_max)
     return yaw_error_deg(np.array([ways_of(recording, one, noise) for one in stretches(recording)]))
 
 

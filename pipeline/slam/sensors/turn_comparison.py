@@ -23,7 +23,6 @@ from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Trajecto
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import track_log
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.gyro_slip import turns_with
@@ -120,7 +119,7 @@ def compared_turns(recording: Recording) -> Timing:
         odometry=stream,
     )
     # each stretch is tracked once for a lidar and a delay
-    turned = cache(partial(_turned, scans, range_noise(scans, USABLE_M)))
+    turned = cache(partial(_turned, scans, range_noise(scans, scans.lidar.range_max)))
     compared = partial(_turns, scans, _starts(scans), turned)
     judges, lidar = usual <= JUDGES_S, recording.lidar
     late_s, over, sweep, others = 0.0, False, None, _sweeps(recording, usual) if judges else []
@@ -292,7 +291,7 @@ def tracked_alone(
         odometry=None,
         imu=None,
     )
-    return track_log(Scans(alone, USABLE_M, noise, known_motion(late)), TrackingConfig(), Lines)
+    return track_log(Scans(alone, alone.lidar.range_max, noise, known_motion(late)), TrackingConfig(), Lines)
 
 
 def thinning(recording: Recording) -> int:
