@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.findings import Finding
 from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.sensor_times import SensorTimes
 
 Stamps = NDArray[np.int64]
 
@@ -232,7 +233,7 @@ class Recording:
     each scan). `notes` has one line for everything that was skipped or repaired while reading, and
     `findings` what of it is wrong with a bag.
     `odometry_late_s` is a delay of the odometry that was corrected; `turned_over` means that the lidar was
-    flipped because of the odometry alone.
+    flipped because of the odometry alone; `times` are the sensors' times as estimated.
     """
 
     source: str
@@ -247,6 +248,7 @@ class Recording:
     findings: tuple[Finding, ...] = field(default=())
     odometry_late_s: float = 0.0
     turned_over: bool = False
+    times: SensorTimes = field(default_factory=SensorTimes)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

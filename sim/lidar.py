@@ -62,7 +62,8 @@ class Lidar:
         self._unit = LidarUnit(config.errors or LidarErrors(), rng) if config.noise == "sensor" else None
         self._T_base_lidar = robot.T_base_lidar.xyt
         self._movers: list[Sections] = []
-        self._sweep: Array = self.spec.order * (abs(self.spec.time_increment) / self.spec.scan_time)
+        turn = abs(self.spec.time_increment) / self.spec.scan_time
+        self._sweep: Array = self.spec.order.astype(np.float64) * turn
 
     def surround(self, solids: Sequence[Solid]) -> None:
         """Set the solids around the lidar from now on."""

@@ -27,7 +27,7 @@ from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
 from turtlebag.pipeline.slam.sensors.mounting import facing
-from turtlebag.pipeline.slam.sensors.turn_comparison import compared_turns, delay_metrics, in_step
+from turtlebag.pipeline.slam.sensors.timing import compared_times, delay_metrics, in_step
 from turtlebag.pipeline.stages.requests.options import chosen_settings
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
 from turtlebag.pipeline.stages.sources import Source
@@ -84,7 +84,7 @@ def localise(
     if isinstance(initial_pose, SE2):
         require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), map_yaml)
     recording = source.load()
-    turns = compared_turns(recording)
+    turns = compared_times(recording)
     recording = facing(in_step(recording, turns)) if turns.alike else recording
     truth = None if truth is None else truth_folder(truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")

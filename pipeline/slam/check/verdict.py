@@ -23,7 +23,7 @@ from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
-from turtlebag.pipeline.slam.sensors.turn_comparison import odometry_stream, usual_period
+from turtlebag.pipeline.slam.sensors.stretches import odometry_stream, usual_period
 from turtlebag.pipeline.slam.sessions import Session
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
@@ -85,6 +85,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCh
             "scans and odometry turn in opposite directions, and there is no gyro to decide: "
             "if the scans are right, this map is mirrored"
         )
+    reasons += _merged(recording)
     empty = int(np.count_nonzero(~track.usable))
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{counted(empty, 'scan')} {verb(empty, 'sees', 'see')} no surface")
@@ -123,6 +124,16 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     visits = np.bincount(pairs.ravel(), minlength=n)
     against = np.bincount(pairs[share > limit].ravel(), minlength=n)
     return np.flatnonzero(2 * against > visits)
+
+
+def _merged(recording: Recording) -> list[str]:
+    """Whether parts of the scans were taken at different times."""
+    if (apart_s := recording.times.apart_s) == 0.0:
+        return []
+    return [
+        f"parts of each scan disagree about the motion by up to {apart_s:.2f} s (two lidars merged without "
+        "synchronisation?): walls are drawn twice where the robot turns"
+    ]
 
 
 def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:

@@ -10,7 +10,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.sensors.gyro_slip import with_gyro
 from turtlebag.pipeline.slam.sensors.mounting import facing
 from turtlebag.pipeline.slam.sensors.repeated_scans import without_repeats
-from turtlebag.pipeline.slam.sensors.turn_comparison import compared_turns, in_step
+from turtlebag.pipeline.slam.sensors.timing import compared_times, in_step
 
 
 def with_sensors(recording: Recording, sensors: str, front_end: str, *, deskew: bool) -> Recording:
@@ -36,7 +36,7 @@ def corrected(recording: Recording, usable_m: float, *, gyro: bool, matched: boo
     Odometry that does not turn when the scans do is left out if scans are `matched`.
     """
     recording = without_repeats(without_own_body(recording), usable_m)
-    turns = compared_turns(recording)
+    turns = compared_times(recording)
     if turns.alike:
         recording = facing(in_step(recording, turns))
     elif matched:
