@@ -108,6 +108,19 @@ class SE2:
         x, y = self.xyt[..., 0], self.xyt[..., 1]
         return SE2(_joined(-c * x - s * y, s * x - c * y, wrap(-self.xyt[..., 2])))
 
+    @property
+    def array(self) -> Array:
+        """`xyt`, by the name that it shares with `SE3`."""
+        return self.xyt
+
+    def vector(self) -> Array:
+        """Small motions as vectors x, y, yaw, (..., 3)."""
+        return self.xyt
+
+    def size(self) -> tuple[Array, Array]:
+        """Distance [m] and angle [rad], (...,) each."""
+        return np.hypot(self.x, self.y), np.abs(self.yaw)
+
     def steps(self) -> Array:
         """Each of n poses relative to the previous one, (n - 1, 3)."""
         return (self[:-1].inverse() @ self[1:]).xyt

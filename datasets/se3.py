@@ -1,4 +1,4 @@
-"""Rigid transforms in space as homogeneous matrices (..., 4, 4), batch first.
+"""Rigid transforms in space as homogeneous matrices (..., 4, 4), batch first; `SE3` is the twin of `SE2`.
 
 `T_a_b @ T_b_c` is `T_a_c`. Tangent vectors are (..., 6): rotation [rad] before translation [m], applied
 on the right: T Exp(xi). Formulas: Barfoot (2017), "State Estimation for Robotics", chapter 7.
@@ -6,11 +6,58 @@ on the right: T Exp(xi). Formulas: Barfoot (2017), "State Estimation for Robotic
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
 
 _SMALL = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SE3:
+    """A pose in space or a batch of them, with the methods of `SE2` that a pose graph needs; `matrix` is
+    (..., 4, 4)."""
+
+    matrix: Array
+
+    @staticmethod
+    def from_array(matrix: Array) -> SE3:
+        """From homogeneous matrices (..., 4, 4)."""
+        return SE3(np.asarray(matrix))
+
+    @property
+    def array(self) -> Array:
+        """The matrices (..., 4, 4)."""
+        return self.matrix
+
+    def __len__(self) -> int:
+        return len(self.matrix)
+
+    def __getitem__(self, index: Any) -> SE3:
+        return SE3(self.matrix[index])
+
+    def __matmul__(self, other: SE3) -> SE3:
+        return SE3(self.matrix @ other.matrix)
+
+    def inverse(self) -> SE3:
+        """`T_b_a` from `T_a_b`."""
+        return SE3(inverse(self.matrix))
+
+    def vector(self) -> Array:
+        """Small motions as vectors, rotation and translation, (..., 6)."""
+        return log(self.matrix)
+
+    def size(self) -> tuple[Array, Array]:
+        """Distance [m] and angle [rad], (...,) each."""
+        xi = log(self.matrix)
+        return np.linalg.norm(xi[..., 3:], axis=-1), np.linalg.norm(xi[..., :3], axis=-1)
+
+    def interpolate(self, other: SE3, fraction: Array) -> SE3:
+        """Pose at `fraction` (0: this pose, 1: `other`), along the screw that joins them."""
+        return SE3(interpolate(self.matrix, other.matrix, fraction))
 
 
 def lifted(T: SE2) -> Array:

@@ -97,11 +97,13 @@ class LidarSpec:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scan:
-    """One sweep. `stamp_ns` is the time of the first beam; `ranges` is (n_beams,) float32 [m]."""
+    """One sweep. `stamp_ns` is the time of the first beam; `ranges` is (n_beams,) float32 [m]; `sensor` says
+    which of the robot's lidars took it."""
 
     stamp_ns: int
     ranges: NDArray[np.float32]
     lidar: LidarSpec
+    sensor: int = 0
 
     def valid(self) -> NDArray[np.bool_]:
         """Which beams measured a surface, (n_beams,)."""
@@ -111,6 +113,19 @@ class Scan:
         """Measured points, (n_valid, 2) in the lidar frame, not deskewed."""
         ok = self.valid()
         return self.lidar.directions[ok] * self.ranges[ok, None].astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class MountedLidar:
+    """A lidar, its pose on the robot, and the topic of its scans, if they are from a bag."""
+
+    spec: LidarSpec
+    T_base_lidar: SE2
+    topic: str = ""
+
+    def same(self, other: MountedLidar) -> bool:
+        """Whether the other one has the same beams at the same place."""
+        return self.spec == other.spec and np.allclose(self.T_base_lidar.xyt, other.T_base_lidar.xyt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +242,9 @@ class ImuLog:
 class Recording:
     """A whole planar lidar log in memory, the input of mapping and localisation.
 
-    `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117.
+    `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117; NaN where a
+    scan has fewer beams than that of another lidar. `lidar` and `T_base_lidar` are the only lidar, or the
+    first; `others` are further ones, and `sensor` (n_scans,) says which of the `lidars` took each scan.
     `T_odom_base` is the odometry pose at each scan's stamp, (n_scans,), or None if the log has none;
     `odometry` is the full-rate stream if there is one (None for CARMEN logs, whose odometry comes with
     each scan). `notes` has one line for everything that was skipped or repaired while reading, and
@@ -249,9 +266,43 @@ class Recording:
     odometry_late_s: float = 0.0
     turned_over: bool = False
     times: SensorTimes = field(default_factory=SensorTimes)
+    topic: str = ""
+    others: tuple[MountedLidar, ...] = field(default=())
+    sensor: NDArray[np.uint8] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    @property
+    def lidars(self) -> tuple[MountedLidar, ...]:
+        """All lidars."""
+        return (MountedLidar(self.lidar, self.T_base_lidar, self.topic), *self.others)
+
+    @property
+    def lidar_of(self) -> NDArray[np.uint8]:
+        """Which of the lidars took each scan, (n_scans,)."""
+        return np.zeros(len(self), dtype=np.uint8) if self.sensor is None else self.sensor
+
+    def parts(self) -> list[tuple[NDArray[np.int64], Recording]]:
+        """The scans of each lidar alone: their numbers (k,), and a recording of them."""
+        if not self.others:
+            return [(np.arange(len(self)), self)]
+        T, found = self.T_odom_base, []
+        for number, lidar in enumerate(self.lidars):
+            rows = np.flatnonzero(self.lidar_of == number)
+            part = replace(
+                self,
+                stamps_ns=self.stamps_ns[rows],
+                ranges=self.ranges[rows, : lidar.spec.n_beams],
+                lidar=lidar.spec,
+                T_base_lidar=lidar.T_base_lidar,
+                topic=lidar.topic,
+                T_odom_base=None if T is None else T[rows],
+                others=(),
+                sensor=None,
+            )
+            found.append((rows, part))
+        return found
 
     @cached_property
     def stride(self) -> int:
@@ -269,7 +320,9 @@ class Recording:
 
     def scan(self, index: int) -> Scan:
         """One sweep of the log."""
-        return Scan(int(self.stamps_ns[index]), self.ranges[index], self.lidar)
+        number = int(self.lidar_of[index])
+        lidar = self.lidars[number].spec
+        return Scan(int(self.stamps_ns[index]), self.ranges[index, : lidar.n_beams], lidar, number)
 
     def duration(self) -> float:
         """Span of the scan stamps [s]."""

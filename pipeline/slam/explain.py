@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from turtlebag.datasets import se3
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se3 import SE3
 from turtlebag.pipeline.slam.check.verdict import hypothesis_shares
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop
-from turtlebag.pipeline.slam.graph.cost import mahalanobis, relative
+from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.grid import make_grid
 from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult
 from turtlebag.pipeline.slam.sessions import Session
@@ -42,12 +42,12 @@ def _bridged(session: Session, scan: int) -> bool:
     return not bool(session.graph.unbridged[step])
 
 
-def candidate(found: Loop, T_map_keys: SE2 | Array) -> dict[str, Any]:
+def candidate(found: Loop, T_map_keys: SE2 | SE3) -> dict[str, Any]:
     """A candidate as written, with its residual at the final poses, in the plane or in space."""
     return {
         "i": found.i,
         "j": found.j,
-        "T_j_i": found.T_j_i if found.T_j_i.ndim == 1 else se3.log(found.T_j_i),
+        "T_j_i": type(T_map_keys)(found.T_j_i).vector(),
         **({"gate_m": found.gate_m} if not np.isnan(found.gate_m) else {}),
         "score": found.score,
         "overlap": found.overlap,
@@ -58,23 +58,18 @@ def candidate(found: Loop, T_map_keys: SE2 | Array) -> dict[str, Any]:
     }
 
 
-def _residual(found: Loop, T_map_keys: SE2 | Array) -> dict[str, float]:
-    if not isinstance(T_map_keys, SE2):
-        off = se3.log(relative(found.T_j_i, relative(T_map_keys[found.j], T_map_keys[found.i])))
-        return {
-            "residual_m": float(np.linalg.norm(off[3:])),
-            "residual_rad": float(np.linalg.norm(off[:3])),
-        }
-    measured = SE2(found.T_j_i)
-    left = (measured.inverse() @ T_map_keys[found.j].inverse() @ T_map_keys[found.i]).xyt
-    return {"residual_m": float(np.hypot(left[0], left[1])), "residual_rad": float(abs(left[2]))}
+def _residual(found: Loop, T_map_keys: SE2 | SE3) -> dict[str, float]:
+    measured = type(T_map_keys)(found.T_j_i)
+    left = measured.inverse() @ T_map_keys[found.j].inverse() @ T_map_keys[found.i]  # type: ignore[operator]
+    way, turn = left.size()
+    return {"residual_m": float(way), "residual_rad": float(turn)}
 
 
 def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> None:
     """Write `explain.json` (worst edges, contradicting places, hypotheses, calibration), and the map by the
     front end alone, `before.pgm`, to compare with `map.pgm`."""
     session = result.session
-    usable = config.usable(session.recording.lidar)
+    usable = config.usable(*session.recording.lidars)
     before = make_grid(session.recording, session.track.T_track_base, config.grid, usable, session.motion)
     save_map(before, folder, "before")
     write_json(
@@ -86,7 +81,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
                 "winners": hypothesis_shares(result.track),
                 "mean_overlap": float(result.track.overlap.mean()),
                 "odometry_calibration": vars(result.track.calibration),
-                "range_calibration": vars(result.session.ranges),
+                "range_calibration": result.session.ranges.numbers(),
             },
             "moved_by_graph_m": moved(result.T_map_keys.xy - result.track.T_track_base.xy[result.keys]),
         },
@@ -94,7 +89,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
 
 
 def worst_edges(
-    T_map_keys: SE2 | Array, constraints: Sequence[Constraint], most: int = WORST
+    T_map_keys: SE2 | SE3, constraints: Sequence[Constraint], most: int = WORST
 ) -> list[dict[str, Any]]:
     """The constraints with the largest residuals at the final poses, worst first."""
     squared = mahalanobis(T_map_keys, constraints)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -12,9 +13,10 @@ from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
+from turtlebag.pipeline.slam.check.uncertainty import Uncertainty, scan_covariances, shared_errors
 from turtlebag.pipeline.slam.check.verdict import SelfCheck, check_map
 from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Loop
@@ -26,19 +28,25 @@ from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.closure import close_graph
 from turtlebag.pipeline.slam.odometry.breaks import breaks_of
+from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M
+from turtlebag.pipeline.slam.scans.clouds import USABLE_M, KeyScans
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.corrected import corrected, with_sensors
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration, range_errors
+from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup, sensor_setup
 from turtlebag.pipeline.slam.sessions import Session, join
 
 # Settings that the front end does not read; a change of any other one starts it anew.
 LATER = {"back_end", "loops", "place_recognition", "refine", "grid"}
+
+# A correction may raise the entropy of the map by less than the first factor, the misfit of its scans by less
+# than the second: both vary by as much without a cause.
+AS_SHARP, NO_WORSE = 1.02, 1.002
 
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
@@ -74,9 +82,9 @@ class SlamConfig(Settings):
     refine: RefineConfig = RefineConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
-    def usable(self, lidar: LidarSpec) -> float:
-        """The range [m] beyond which returns of this lidar are ignored."""
-        return min(lidar.range_max, self.usable_range_m)
+    def usable(self, *lidars: MountedLidar) -> float:
+        """The range [m] beyond which returns of these lidars are ignored."""
+        return min(max(lidar.spec.range_max for lidar in lidars), self.usable_range_m)
 
     def effective(self) -> SlamConfig:
         """The settings that take effect: with odometry alone, it is the front end, and nothing moves a scan
@@ -108,10 +116,13 @@ class SlamConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class SlamResult:
-    """A pose per scan in file order, the grid, and their session."""
+    """A pose per scan in file order, the `covariance` of each (n, 3, 3), the grid, the `confidence` in each
+    of its cells (rows, cols), and their session."""
 
     trajectory: Trajectory
+    covariance: Array
     grid: OccupancyGrid
+    confidence: Array
     check: SelfCheck
     session: Session
 
@@ -178,22 +189,74 @@ def continue_slam(
 def track_recording(recording: Recording, config: SlamConfig, progress: Progress) -> Session:
     """From a recording to a graph without loops: key scans, and the steps between them.
 
-    Its sensors are corrected by each other, then its scans are followed one by one: once more if the lidar
-    turns out to have range errors.
+    Its sensors are corrected by each other, then its scans are followed one by one. Where these show errors
+    of the ranges or of the lidar's pose, they are followed again without, which counts if they fit each other
+    as well, or the map is as sharp. That of a lidar that sweeps in no time cannot tell of its pose.
     """
-    config, make = config.effective(), front_end_maker(config.effective().front_end)
+    config = config.effective()
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
-    usable = config.usable(log.lidar)
+    usable = config.usable(*log.lidars)
     log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
-    scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
-    ranges = range_errors(scans, track) if config.calibrate_ranges else RangeCalibration()
-    if ranges != RangeCalibration():
-        log = ranges.applied(log)
-        scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
+    lidar_pose, ranges = recording.T_base_lidar, RangeCalibration()
+    tracked = _Tracked.of(log, config, progress)
+    if config.calibrate_ranges:
+        errors = range_errors(tracked.scans, tracked.track)
+        if errors != ranges:
+            again = _Tracked.of(errors.applied(tracked.log), config, progress)
+            if again.misfit_m < NO_WORSE * tracked.misfit_m:
+                tracked, ranges = again, errors
+    setup = tracked.setup(lidar_pose)
+    if setup.lidar_error is not None and log.lidar.time_increment != 0.0:
+        again = _Tracked.of(setup.applied(tracked.log), config, progress)
+        if again.entropy_bits < AS_SHARP * tracked.entropy_bits:
+            tracked, setup = again, again.setup(lidar_pose)
+    track, evidence = tracked.track, tracked.evidence
     breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
     graph = Graph(track.T_track_base[track.keys], steps, [], [], breaks.broken)
-    key_scans = scans.of_keys(track.keys)
-    return Session(log, key_scans, scans.motion, track, evidence, breaks, graph, ranges)
+    return Session(
+        tracked.log, tracked.key_scans, tracked.scans.motion, track, evidence, breaks, graph, ranges, setup
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracked:
+    """A log as the front end followed it."""
+
+    log: Recording
+    scans: Scans
+    track: Track
+    evidence: Evidence
+    config: SlamConfig
+
+    @staticmethod
+    def of(log: Recording, config: SlamConfig, progress: Progress) -> _Tracked:
+        """The log, followed."""
+        scans, make = Scans.of(log, config.usable(*log.lidars)), front_end_maker(config.front_end)
+        return _Tracked(log, *follow(scans, config.tracking, make, progress), config)
+
+    @cached_property
+    def key_scans(self) -> KeyScans:
+        """The points of its key scans."""
+        return self.scans.of_keys(self.track.keys)
+
+    @cached_property
+    def entropy_bits(self) -> float:
+        """How blurred its map is before loops are closed; askew, as chance sharpens walls along the cells."""
+        log, scans, poses = self.log, self.scans, SE2.from_xyt(0.0, 0.0, 0.5) @ self.track.T_track_base
+        _, certainty = make_checked_grid(log, poses, self.config.grid, scans.usable_m, scans.motion)
+        return certainty.entropy_bits
+
+    @property
+    def misfit_m(self) -> float:
+        """How far the points of a scan lie from the walls of others [m]."""
+        return float(self.track.rmse[self.track.fits].mean()) if self.track.fits.any() else 0.0
+
+    def setup(self, T_base_lidar: SE2) -> SensorSetup:
+        """The sensor set-up by its key scans; empty without odometry, or with nothing else."""
+        if self.log.T_odom_base is None or self.config.front_end == "wheels":
+            return SensorSetup()
+        T_track_keys = self.track.T_track_base[self.track.keys]
+        return sensor_setup(self.log, self.key_scans, T_track_keys, T_base_lidar)
 
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
@@ -235,6 +298,11 @@ def draw_map(session: Session, config: SlamConfig) -> SlamResult:
     log, track, graph = session.recording, session.track, session.graph
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
     poses = carried_poses(track.T_track_base, track.keys, graph.T_map_keys, torn)
-    grid, certainty = make_checked_grid(log, poses, config.grid, config.usable(log.lidar), session.motion)
-    check = check_map(session, poses, certainty)
-    return SlamResult(Trajectory(log.stamps_ns, poses), grid, check, session)
+    drawn = make_checked_grid(log, poses, config.grid, config.usable(*log.lidars), session.motion)
+    constraints = graph.constraints
+    shared = shared_errors(track, constraints, session.evidence.unobserved_m)
+    uncertainty = Uncertainty.of(graph.T_map_keys, constraints, shared)
+    check = check_map(session, poses, drawn.certainty, uncertainty)
+    covariance = scan_covariances(uncertainty, track, poses, log.stamps_ns)
+    trajectory = Trajectory(log.stamps_ns, poses)
+    return SlamResult(trajectory, covariance, drawn.grid, drawn.confidence, check, session)

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se3 import SE3
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop, firm
 from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
@@ -75,7 +76,7 @@ class CloudLoops(LoopSearch):
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.T[n - 1].copy()
-        self.T[:n] = optimise(self.T[:n], graph)
+        self.T[:n] = optimise(SE3(self.T[:n]), graph).matrix
         self.T[n:] = self.T[n - 1] @ se3.inverse(before) @ self.T[n:]
         self.poses = se3.planar(self.T).xyt.copy()
 
@@ -139,7 +140,7 @@ def close_loops(
     recognised = finder.recognised() if config.appearance else []
     known = [finder.config.constraint(loop) for loop in recognised if loop.accepted]
     if known:
-        start = optimise(finder.T, [*steps, *finder.loops, *firm(known)])
+        start = optimise(SE3(finder.T), [*steps, *finder.loops, *firm(known)])
         start = optimise(start, [*steps, *finder.loops, *known])
-        finder = CloudLoops(keys, start, steps, voxel, config.every, known)
+        finder = CloudLoops(keys, start.matrix, steps, voxel, config.every, known)
     return finder, recognised

@@ -8,6 +8,7 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se3 import SE3
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, in_rounds
 from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
@@ -39,7 +40,8 @@ def refine(
     part of, those just beyond their own always: they tie the log together.
     """
 
-    def matched(poses: Array, f: float) -> list[Constraint]:
+    def matched(T_map_keys: SE3, f: float) -> list[Constraint]:
+        poses = T_map_keys.matrix
         gate = rough * (fine / rough) ** f
         places, found = Places(keys, poses, voxel), []
         near = overlapping_pairs(se3.planar(poses), RADIUS_VOXELS * voxel)
@@ -55,7 +57,8 @@ def refine(
         return found
 
     rough = max(GATE_VOXELS * voxel, fine := FINE_KERNELS * KERNEL_M)
-    return in_rounds(T_map_keys, steps, config.rounds, matched)
+    poses, constraints = in_rounds(SE3(T_map_keys), steps, config.rounds, matched)
+    return poses.matrix, constraints
 
 
 def reregistered(places: Places, points: Array, T_map_carried: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se3 import SE3
 from turtlebag.pipeline.slam.check.base import Verdict
 from turtlebag.pipeline.slam.check.verdict import APART_KEYS, MOST_WRONG
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
@@ -46,7 +47,7 @@ def check_map(
     empty = int(np.count_nonzero(~track.usable))
     lost: NDArray[np.int64] = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
     seen = [c for c in constraints if c.kind in (Kind.PAIR, Kind.LOOP) and abs(c.j - c.i) >= APART_KEYS]
-    left = np.linalg.norm(residuals(T_map_keys, seen)[:, 3:], axis=1)
+    left = np.linalg.norm(residuals(SE3(T_map_keys), seen)[:, 3:], axis=1)
     disagreeing = float(np.mean(left > APART_VOXELS * voxel)) if len(left) else 0.0
     reasons = []
     if empty > MOST_EMPTY * len(track.T):

@@ -13,6 +13,7 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se3 import SE3
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
@@ -69,7 +70,7 @@ class Slam3dResult:
     grid: OccupancyGrid
     setup: SensorSetup
     track: Track3d
-    T_map_keys: Array
+    T_map_keys: SE3
     constraints: list[Constraint]
     loops: list[Loop]
     recognised: list[Loop]
@@ -111,12 +112,12 @@ def run_slam_3d(
         again = len(track.keys) >= 2 * (REACH + 1)
         hold = [c for c in constraints if c.kind is not Kind.STEP or not again]
         T_keys, constraints = refine(track.places, T_keys, hold, setup.voxel, config.refine)
-    T = carried_poses(track.T, np.array(track.keys), T_keys)
+    T = carried_poses(SE3(track.T), np.array(track.keys), SE3(T_keys)).matrix
     T, cloud, grid = _drawn(sweeps("drawing the map"), track, T, setup, config)
     check = check_map(recording.stamps_ns, track, T_keys, constraints, setup.voxel)
     trajectory = Trajectory(recording.stamps_ns, se3.planar(T))
     return Slam3dResult(
-        T, trajectory, finished(cloud), grid, setup, track, T_keys, constraints, loops, recognised, check
+        T, trajectory, finished(cloud), grid, setup, track, SE3(T_keys), constraints, loops, recognised, check
     )
 
 

@@ -49,7 +49,7 @@ def map_clouds(
 
 def explanation(result: Slam3dResult) -> dict[str, Any]:
     """The constraints that fit the final poses least, and how far loops and refinement moved the keys."""
-    shifts = (result.T_map_keys - result.track.T[result.keys])[:, :3, 3]
+    shifts = (result.T_map_keys.matrix - result.track.T[result.keys])[:, :3, 3]
     return {
         "worst_edges": worst_edges(result.T_map_keys, result.constraints),
         "front_end": {"mean_overlap": float(result.track.overlap[result.track.usable].mean())},

@@ -274,3 +274,19 @@ def test_fields_may_be_parted_by_tabs(tmp_path):
     expected = load_recording(write(tmp_path, spaces * 2, "b.clf"))
     np.testing.assert_array_equal(found.ranges, expected.ranges)
     np.testing.assert_array_equal(found.T_odom_base.xyt, expected.T_odom_base.xyt)
+
+
+@pytest.mark.parametrize(("stated", "beyond"), [(26.0, True), (3.0, False)])
+def test_a_reading_at_the_stated_maximum_is_no_return_unless_most_are_longer(tmp_path, stated, beyond):
+    ranges = np.linspace(4.0, 26.0, 180)
+    lines = [robotlaser(ranges, -math.pi / 2, k + 0.5).replace(" 81.9 ", f" {stated} ") for k in range(3)]
+    found = load_recording(write(tmp_path, "".join(lines))).ranges
+    assert np.isposinf(found[:, -1]).all() == beyond
+    assert np.isfinite(found[:, :-1]).all()
+
+
+def test_a_sick_that_sees_eighty_metres_may_see_them(tmp_path):
+    ranges = np.linspace(1.0, 81.8, 180)
+    found = load_recording(write(tmp_path, "".join(flaser(ranges, stamp=f"{k}.5") for k in range(3))))
+    assert np.isfinite(found.ranges).all()
+    assert found.lidar.range_max > 81.8

@@ -9,7 +9,8 @@ from tests.helpers.made_drives import Drive, Sensor, Wheels, lds, make_log, sick
 from tests.helpers.made_logs import office_plan
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
-from turtlebag.pipeline.slam.sensors.timing import compared_times, in_step
+from turtlebag.pipeline.slam.sensors.corrected import in_step
+from turtlebag.pipeline.slam.times.timing import compared_times
 
 PERIOD = 0.2
 ROUTE = np.array(

@@ -21,8 +21,7 @@ from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs, partner_radius
-from turtlebag.pipeline.slam.scans.scans import joined_clouds
-from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
+from turtlebag.pipeline.slam.sessions import border_constraint, joined_clouds, joined_track
 
 
 def place(i, j, T_j_i, overlap=0.8):
@@ -191,5 +190,5 @@ def test_residuals_in_standard_deviations_and_the_graph_as_text(tmp_path):
     found = place(2, 1, (poses[1].inverse() @ poses[2] @ SE2.from_xyt(0.3, 0.4, -0.2)).xyt)
     left = candidate(found, poses)
     assert (left["residual_m"], left["residual_rad"]) == pytest.approx((0.5, 0.2))
-    in_space = candidate(place(2, 1, se3.lifted(SE2(found.T_j_i))), se3.lifted(poses))
+    in_space = candidate(place(2, 1, se3.lifted(SE2(found.T_j_i))), se3.SE3(se3.lifted(poses)))
     assert (in_space["residual_m"], in_space["residual_rad"]) == pytest.approx((0.5, 0.2), rel=0.02)

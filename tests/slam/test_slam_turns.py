@@ -15,8 +15,9 @@ from turtlebag.datasets.sensor_times import SensorTimes
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
-from turtlebag.pipeline.slam.sensors.timing import Timing, compared_times, in_step
-from turtlebag.pipeline.slam.sensors.turn_comparison import DELAYS_S, Turns, delay_of
+from turtlebag.pipeline.slam.sensors.corrected import in_step
+from turtlebag.pipeline.slam.times.timing import Timing, compared_times
+from turtlebag.pipeline.slam.times.turn_comparison import DELAYS_S, Turns, delay_of
 
 ROUTE = np.array(
     [(14.7, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5), (14.7, 7.0)]

@@ -73,7 +73,7 @@ def test_poses_are_right_to_millimetres_where_the_wheels_are_off_by_a_metre(driv
 
 
 def test_a_place_that_drift_has_carried_out_of_reach_is_recognised_by_its_looks(mapped):
-    track, T = mapped.track, mapped.T_map_keys
+    track, T = mapped.track, mapped.T_map_keys.matrix
     carried = T.copy()
     carried[41:] = se3.exp(np.array([0.0, 0.0, 0.5, 3.0, 2.0, 0.0])) @ T[41:]
     known = [1e6 if k != 40 else 0.02 for k in range(len(T) - 1)]

@@ -16,33 +16,23 @@ from typing import TypeVar
 
 import numpy as np
 
-from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se3 import SE3
 from turtlebag.pipeline.slam.graph.constraints import Constraint
 
-Poses = TypeVar("Poses", SE2, Array)
+Poses = TypeVar("Poses", SE2, SE3)
+"""The poses of a graph, of the plane or of space."""
 
 
-def relative(T_a: Poses, T_b: Poses) -> Poses:
-    """Poses b relative to poses a."""
-    return T_a.inverse() @ T_b if isinstance(T_a, SE2) else se3.inverse(T_a) @ T_b
-
-
-def vectors(T: SE2 | Array) -> Array:
-    """Small motions as vectors: x, y, yaw (..., 3), or in space rotation and translation (..., 6)."""
-    return T.xyt if isinstance(T, SE2) else se3.log(T)
-
-
-def residuals(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
-    """Residual of each constraint at the given poses, as `vectors` (n, 3) or (n, 6)."""
+def residuals(T_map_keys: SE2 | SE3, constraints: Sequence[Constraint]) -> Array:
+    """Residual of each constraint at the given poses, as vectors (n, 3) or (n, 6)."""
     i, j = np.array([c.i for c in constraints], int), np.array([c.j for c in constraints], int)
-    measured = np.array([c.T_i_j for c in constraints])
-    if isinstance(T_map_keys, SE2):
-        return vectors(relative(SE2(measured.reshape(-1, 3)), relative(T_map_keys[i], T_map_keys[j])))
-    return vectors(relative(measured.reshape(-1, 4, 4), relative(T_map_keys[i], T_map_keys[j])))
+    one = T_map_keys.array.shape[1:]
+    measured = type(T_map_keys)(np.array([c.T_i_j for c in constraints]).reshape(-1, *one))
+    return (measured.inverse() @ (T_map_keys[i].inverse() @ T_map_keys[j])).vector()  # type: ignore[operator]
 
 
-def mahalanobis(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
+def mahalanobis(T_map_keys: SE2 | SE3, constraints: Sequence[Constraint]) -> Array:
     """Squared Mahalanobis residual of each constraint at the given poses, kernels left out."""
     e = residuals(T_map_keys, constraints)
     information = np.array([c.information for c in constraints]).reshape(-1, e.shape[1], e.shape[1])

@@ -1,14 +1,14 @@
 """Odometry calibration by the scans: systematic errors of the wheels, and the remaining noise.
 
-Wheel radius and separation are never exactly as configured, so odometry is wrong by nearly
-constant shares (Censi et al. 2013). Where scans see all directions they measure these shares; where they
-are blind - a bare corridor longer than the lidar's range - only odometry is left, and the calibration
-pays off: 1 % of wheel radius is 10 cm on 10 m.
+Wheel radius and separation are never exactly as configured, so odometry is wrong by nearly constant shares
+(Censi et al. 2013), which scans measure; where these are blind, as in a bare corridor, only odometry is left,
+and 1 % of wheel radius is 10 cm on 10 m.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,14 +59,6 @@ class Calibration:
         out[..., 2] = self.turn_scale * steps[..., 2] + self.turn_per_m * steps[..., 0]
         return out
 
-    def effects(self, steps: Array) -> Array:
-        """How far each error moves the ends of corrected steps (n, 3), in the ends' frames (n, 3, 3)."""
-        x, y, yaw = steps.T
-        out = np.zeros((len(steps), 3, 3))
-        out[:, 0, 0], out[:, 1, 0] = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
-        out[:, 2, 1], out[:, 2, 2] = yaw, x
-        return out
-
     def information(self, steps: Array) -> Array:
         """Information (..., 3, 3) of corrected steps (..., 3), errors growing as a random walk."""
         sigma = self.noise * np.sqrt(baselines(steps))[..., None] + 0.3 * LEAST_NOISE
@@ -88,7 +80,7 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     pairs = baseline_pairs(steps)
     if len(pairs) == 0:
         return Calibration()
-    found = _matched(clouds, keys, T_map_keys, pairs)
+    found = matched_pairs(clouds, keys, T_map_keys, pairs)
     good = found.possible
     if not good.any():
         return Calibration()
@@ -108,7 +100,7 @@ def baseline_pairs(steps: Array) -> NDArray[np.int64]:
     return np.stack([i, j[i]], axis=1)
 
 
-def _matched(
+def matched_pairs(
     clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, pairs: NDArray[np.int64]
 ) -> PairMatches:
     """Each pair (i, j) by its two scans alone."""
@@ -126,26 +118,41 @@ def _matched(
 
 
 def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
-    """Ridge regression of the three errors, iteratively reweighted; noise from the residuals, then once more
-    with it."""
-    odometry = chain(steps, pairs)
+    """The three errors of the odometry by the motions (n, 3) that the scans show over `pairs`."""
+    odometry, prior = chain(steps, pairs), ODOMETRY_SHARE**-2 * np.eye(3)
     error = (SE2(odometry).inverse() @ SE2(matched)).xyt
-    jacobian = shares_jacobian(steps, pairs, odometry)
-    noise, shares = USUAL_NOISE, np.zeros(3)
+    shares = fit(error, shares_jacobian(steps, pairs, odometry), information, prior)
+    pairs_used = int(np.count_nonzero(shares.trust > 0.5))
+    scale, turn_scale, turn_per_m = (shares.values + np.array([1.0, 1.0, 0.0])).tolist()
+    return Calibration(scale, turn_scale, turn_per_m, shares.noise, pairs_used, shares.covariance)
+
+
+class Fit(NamedTuple):
+    """Parameters (p,), their covariance (p, p), the noise left over a baseline (3,), each pair's weight by
+    Cauchy's kernel (n,), and its part of the gradient (n, p)."""
+
+    values: Array
+    covariance: Array
+    noise: Array
+    trust: Array
+    scores: Array
+
+
+def fit(error: Array, jacobian: Array, information: Array, prior: Array) -> Fit:
+    """Parameters (p,) that explain errors (n, 3) of pairs, by ridge regression, iteratively reweighted; noise
+    from the residuals, then twice more with it. `prior` (p, p) is an information."""
+    noise, values = USUAL_NOISE, np.zeros(len(prior))
     for _ in range(3):
         weight = joint_information(information, noise)
         for _ in range(8):
-            left = error - np.einsum("nij,j->ni", jacobian, shares)
+            left = error - np.einsum("nij,j->ni", jacobian, values)
             trust = cauchy_weight(np.einsum("ni,nij,nj->n", left, weight, left))
-            a = np.einsum(
-                "n,nia,nij,njb->ab", trust, jacobian, weight, jacobian
-            ) + ODOMETRY_SHARE**-2 * np.eye(3)
+            a = np.einsum("n,nia,nij,njb->ab", trust, jacobian, weight, jacobian) + prior
             b = np.einsum("n,nia,nij,nj->a", trust, jacobian, weight, error)
-            shares = np.linalg.solve(a, b)
+            values = np.linalg.solve(a, b)
         noise = noise_left(left, information)
-    pairs_used = int(np.count_nonzero(trust > 0.5))
-    scale, turn_scale, turn_per_m = (shares + np.array([1.0, 1.0, 0.0])).tolist()
-    return Calibration(scale, turn_scale, turn_per_m, noise, pairs_used, np.linalg.inv(a))
+    scores = np.einsum("n,nia,nij,nj->na", trust, jacobian, weight, left)
+    return Fit(values, np.linalg.inv(a), noise, trust, scores)
 
 
 def joint_information(information: Array, noise: Array) -> Array:

@@ -16,7 +16,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import gross
 from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
-from turtlebag.pipeline.slam.sensors.stretches import (
+from turtlebag.pipeline.slam.times.stretches import (
     thinning,
     tracked_alone,
 )

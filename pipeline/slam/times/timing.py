@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.sensor_times import Estimate, SensorTimes
-from turtlebag.datasets.types import LidarSpec, Recording, Recording3D, Stamps, Trajectory
+from turtlebag.datasets.types import LidarSpec, Recording, Stamps, Trajectory
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
-from turtlebag.pipeline.slam.sensors.beam_times import (
+from turtlebag.pipeline.slam.times.beam_times import (
     SectorTimes,
     all_round,
     believed_s,
@@ -30,8 +30,7 @@ from turtlebag.pipeline.slam.sensors.beam_times import (
     sector_of,
     sector_times,
 )
-from turtlebag.pipeline.slam.sensors.gyro_slip import turns_with
-from turtlebag.pipeline.slam.sensors.stretches import (
+from turtlebag.pipeline.slam.times.stretches import (
     odometry_stream,
     thinned_scans,
     tracked_alone,
@@ -39,7 +38,7 @@ from turtlebag.pipeline.slam.sensors.stretches import (
     usual_noise,
     usual_period,
 )
-from turtlebag.pipeline.slam.sensors.turn_comparison import Turns, agreeing, delay_of, surely, turns_of
+from turtlebag.pipeline.slam.times.turn_comparison import Turns, agreeing, delay_of, surely, turns_of
 
 # A smaller delay moves the robot by less than matching corrects; if odometry comes less often, its interval,
 # MOST_S at most: CARMEN pairs scans with odometry up to 0.15 s off, and no map suffers.
@@ -93,54 +92,6 @@ class Seen(NamedTuple):
 
 
 Look = Callable[[Belief], Seen]
-
-
-def in_step(recording: Recording, timing: Timing) -> Recording:
-    """The recording with its odometry shifted to the time of its scans, its lidar flipped and its sweeps
-    timed as the comparison says; unchanged if there is nothing to correct."""
-    late_s, over, lidar, _, times = timing
-    recording = replace(recording, times=times) if times != recording.times else recording
-    if lidar is not None:
-        said = _sweep_note(lidar, recording)
-        recording = replace(recording, lidar=lidar, notes=(*recording.notes, said))
-    elif over:
-        recording = replace(recording, lidar=recording.lidar.turned_over())
-    if over:
-        said = (
-            "scans and odometry turn in opposite directions: assuming the laser is mounted the other way up"
-        )
-        recording = replace(recording, notes=(*recording.notes, said))
-    recording = _shifted(recording, late_s) if late_s != 0.0 else recording
-    return replace(recording, turned_over=not turns_with(recording)) if over else recording
-
-
-def _sweep_note(lidar: LidarSpec, recording: Recording) -> str:
-    said = recording.lidar
-    order = "in the order of the array" if lidar.time_increment > 0.0 else "against the order of the array"
-    begins = "" if lidar.first_beam == said.first_beam else f", from reading {lidar.first_beam} on"
-    return (
-        f"the lidar takes {lidar.sweep_s:.3f} s for a scan, {order}{begins}, where the log says "
-        f"{said.sweep_s:.3f} s (judged by scans that turn differently); corrected"
-    )
-
-
-def _shifted(recording: Recording, late_s: float) -> Recording:
-    stream, late_ns = odometry_stream(recording), nanoseconds(late_s)
-    shifted = Trajectory(stream.stamps_ns - late_ns, stream.poses)
-    said = f"{abs(late_s):.2f} s {'behind' if late_s > 0.0 else 'ahead of'} the scans"
-    return replace(
-        recording,
-        T_odom_base=stream.at(recording.stamps_ns + late_ns),
-        odometry=None if recording.odometry is None else shifted,
-        odometry_late_s=late_s,
-        notes=(*recording.notes, f"the odometry runs {said} (judged by the turns of both); corrected"),
-    )
-
-
-def delay_metrics(recording: Recording | Recording3D) -> dict[str, float]:
-    """`odometry_late_s` [s] of a recording with corrected odometry, else empty."""
-    late_s = recording.odometry_late_s if isinstance(recording, Recording) else 0.0
-    return {"odometry_late_s": late_s} if late_s else {}
 
 
 def compared_times(recording: Recording) -> Timing:
