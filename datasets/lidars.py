@@ -34,6 +34,7 @@ def of_each_lidar(recording: Recording, change: Callable[[Recording], Recording]
         odometry=parts[0].odometry if whole else None,
         notes=(*recording.notes, *notes),
         turned_over=any(part.turned_over for part in parts),
+        times=max((part.times for part in parts), key=lambda times: times.apart_s),
     )
 
 

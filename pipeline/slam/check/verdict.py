@@ -29,8 +29,8 @@ from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
-from turtlebag.pipeline.slam.sensors.turn_comparison import odometry_stream, usual_period
 from turtlebag.pipeline.slam.sessions import Session
+from turtlebag.pipeline.slam.times.stretches import odometry_stream, usual_period
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
@@ -80,6 +80,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertain
         *_contradicted(T_map_keys, pairs, share),
         *_scans(track),
         *_breaks(session),
+        *_merged(session.recording),
         *_motions(session, T_map_base),
         *_uncertain(T_map_keys.xy[asked[sigmas.argmax()]], float(sigmas.max()), session.evidence),
         *_walls(session),
@@ -144,6 +145,17 @@ def _breaks(session: Session) -> Iterator[Term]:
             1.0,
             "scans and odometry turn in opposite directions, and there is no gyro to decide: "
             "if the scans are right, this map is mirrored",
+        )
+
+
+def _merged(recording: Recording) -> Iterator[Term]:
+    """Scans of which parts were taken at different times."""
+    if recording.times.apart_s > 0.0:
+        yield Term(
+            "merged",
+            1.0,
+            f"parts of each scan disagree about the motion by up to {recording.times.apart_s:.2f} s (two "
+            "lidars merged without synchronisation?): walls are drawn twice where the robot turns",
         )
 
 

@@ -15,7 +15,7 @@ from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import gross
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
-from turtlebag.pipeline.slam.sensors.turn_comparison import (
+from turtlebag.pipeline.slam.times.stretches import (
     thinning,
     tracked_alone,
 )
@@ -92,7 +92,7 @@ def ways_of(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) ->
     """
     T_odom = recording.T_odom_base
     assert T_odom is not None
-    track = tracked_alone(recording, rows, noise).T_track_base
+    track = tracked_alone(recording, rows, noise).track.T_track_base
     ends = (track[0].inverse() @ track[-1], T_odom[rows[0]].inverse() @ T_odom[rows[-1]])
     by_scans, by_odometry = (complex(*end.xy) for end in ends)
     aside = 0.5 * wrap(ends[0].yaw - ends[1].yaw)

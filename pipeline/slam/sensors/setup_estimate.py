@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.sensor_times import Estimate
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
 from turtlebag.pipeline.slam.odometry.calibration import (
@@ -30,6 +31,7 @@ from turtlebag.pipeline.slam.odometry.calibration import (
 from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.sensors.gyro_slip import GyroTurns
+from turtlebag.pipeline.slam.times.stretches import usual_period
 
 # What is estimated of wheels and lidar, and of a gyro: name, unit, and standard deviation a priori.
 WHEELS_LIDAR = (
@@ -162,7 +164,23 @@ def sensor_setup(
         turns, known = GyroTurns(recording.imu).turns(recording.stamps_ns[keys])
         times = seconds(recording.stamps_ns[keys] - recording.stamps_ns[keys[0]])
         quantities += _gyro(turns, known, times, pairs, matched.yaw, information)
+    quantities += _times(recording)
     return SensorSetup(quantities, _wrong_pose(values[3:], covariance[3:, 3:]))
+
+
+def _times(recording: Recording) -> tuple[Quantity, ...]:
+    """When odometry and lidar measured; what was assumed where the drive does not show it."""
+    times, lidar = recording.times, recording.lidar
+    sweep = lidar.time_increment * lidar.n_beams / usual_period(recording)
+    known = [
+        ("odometry_delay", times.delay_s, "s", Estimate(0.0, 0.2)),
+        ("sweep", times.sweep, "periods", Estimate(sweep, 0.5)),
+        ("first_beam", times.first_beam, "1", Estimate(0.0, 0.25 * lidar.n_beams)),
+    ]
+    return tuple(
+        Quantity(name, (one or assumed).value, (one or assumed).sigma, unit, one is not None)
+        for name, one, unit, assumed in known
+    )
 
 
 def _wheels_and_lidar(
