@@ -18,6 +18,8 @@ FASTER, NEARLY_ALWAYS = 1.3, 0.98
 ANY_ROBOT = (1.0, 4.0)
 # Between scans further apart than this [s], and than this many usual periods, nothing is known.
 GAP_S, GAP_PERIODS = 2.0, 3.0
+# Stamps may be out of order among so many.
+STAMPS_NEAR = 12
 
 
 def fastest(moved: Array, seconds: Array) -> Array:
@@ -36,6 +38,21 @@ def gap_s(waits_s: Array) -> float:
 def without_gap(waits_s: Array) -> NDArray[np.bool_]:
     """Which times between the scans of a log (n,) [s] are known and short enough to know the motion."""
     return (waits_s > 0.0) & (waits_s < gap_s(waits_s))
+
+
+def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Pairs (n, 2) of successive scans that `saw` something, with a long time between them in which none
+    did."""
+    usable = np.flatnonzero(saw)
+    stamps = seconds(stamps_ns[usable])
+    if len(stamps) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    # stamps out of order make false gaps, so the latest before is compared with the earliest after
+    padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
+    waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
+    long = np.flatnonzero(waits > gap_s(np.diff(stamps)))
+    return np.stack([usable[long], usable[long + 1]], axis=1)
 
 
 def way_and_turn(steps: Array) -> Array:

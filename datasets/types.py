@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.findings import Finding
 from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.sensor_times import SensorTimes
 
 Stamps = NDArray[np.int64]
 
@@ -249,7 +250,7 @@ class Recording:
     each scan). `notes` has one line for everything that was skipped or repaired while reading, and
     `findings` what of it is wrong with a bag.
     `odometry_late_s` is a delay of the odometry that was corrected; `turned_over` means that the lidar was
-    flipped because of the odometry alone.
+    flipped because of the odometry alone; `times` are the sensors' times as estimated.
     """
 
     source: str
@@ -264,6 +265,7 @@ class Recording:
     findings: tuple[Finding, ...] = field(default=())
     odometry_late_s: float = 0.0
     turned_over: bool = False
+    times: SensorTimes = field(default_factory=SensorTimes)
     topic: str = ""
     others: tuple[MountedLidar, ...] = field(default=())
     sensor: NDArray[np.uint8] | None = None

@@ -10,7 +10,7 @@ twice.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,6 +30,8 @@ from turtlebag.datasets.types import LidarSpec, MountedLidar, Recording
 
 MAX_COUNTED = 400_000_000
 """Cells for counting beams; most are cut off when the map is trimmed to its known part."""
+# Cells of a band of the grid.
+BAND_CELLS = 2_000_000
 # Cells with fewer beams than this are not used for the quality of a map.
 MIN_MET = 3
 # Returns of a distant wall scatter over this many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
@@ -174,16 +176,26 @@ def _views(recording: Recording, T_map_base: SE2, config: OccupancyConfig, usabl
 
 def certainty(counts: Counts, min_hits: int) -> Certainty:
     """How well the beams agree on the cells: a wall that is drawn twice is seen through, and so uncertain."""
-    hits, misses = counts
-    met = hits.astype(np.int32) + misses
-    known = met >= MIN_MET
-    if not known.any():
+    sums = np.zeros(4)
+    for hits, misses in bands(counts):
+        met = hits.astype(np.int32) + misses
+        known = met >= MIN_MET
+        share, walls = hits[known] / met[known], hits[known] >= min_hits
+        entropy = scipy.special.entr(share) + scipy.special.entr(1.0 - share)
+        sums += [entropy.sum(), len(share), share[walls].sum(), np.count_nonzero(walls)]
+    entropy_nats, cells, wall_shares, wall_cells = sums.tolist()
+    if cells == 0:
         return Certainty(math.nan, math.nan)
-    share = hits[known] / met[known]
-    entropy = scipy.special.entr(share) + scipy.special.entr(1.0 - share)
-    walls = hits[known] >= min_hits
-    wall_share = float(share[walls].mean()) if walls.any() else math.nan
-    return Certainty(float(entropy.mean() / math.log(2.0)), wall_share)
+    wall_share = wall_shares / wall_cells if wall_cells else math.nan
+    return Certainty(entropy_nats / cells / math.log(2.0), wall_share)
+
+
+def bands(counts: Counts) -> Iterator[Counts]:
+    """The counts in bands of rows, each small: what is computed of all cells at once takes much memory."""
+    rows, cols = counts.hits.shape
+    height = max(1, BAND_CELLS // max(cols, 1))
+    for row in range(0, rows, height):
+        yield Counts(counts.hits[row : row + height], counts.misses[row : row + height])
 
 
 def beam_lengths(
@@ -206,12 +218,13 @@ def beam_lengths(
 
 def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
     """Occupied, free or unknown: equation (6) of docs/how-it-maps.md, and walls thinned."""
-    hits, misses = counts
-    seen = hits.astype(np.int32) + misses
-    cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)
-    cells[misses > 0] = FREE
-    cells[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
-    return thinned(cells, hits, config.behind_share, config.before_share)
+    cells, row = np.full(counts.hits.shape, UNKNOWN, dtype=np.int8), 0
+    for hits, misses in bands(counts):
+        band, seen = cells[row : row + len(hits)], hits.astype(np.int32) + misses
+        band[misses > 0] = FREE
+        band[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
+        row += len(hits)
+    return thinned(cells, counts.hits, config.behind_share, config.before_share)
 
 
 @njit(cache=True)

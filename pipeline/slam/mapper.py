@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,6 +14,7 @@ from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.motion import sweeps
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
@@ -26,7 +28,7 @@ from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.loops.closure import close_graph
+from turtlebag.pipeline.slam.loops.closure import close_graph, look_again
 from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.follow import follow
@@ -34,7 +36,7 @@ from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M, KeyScans
+from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.corrected import corrected, with_sensors
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration, range_errors
@@ -67,8 +69,8 @@ class SlamConfig(Settings):
         default="lines",
         description="estimates the scans' poses: our line tracker, KISS-ICP, odometry, or your own class",
     )
-    usable_range_m: float = Field(
-        default=USABLE_M, gt=0.0, description="longer returns are neither matched nor mapped"
+    usable_range_m: float | None = Field(
+        default=None, gt=0.0, description="longer returns are neither matched nor mapped; null: all are used"
     )
     deskew: bool = Field(default=True, description="deskew the scans; switch off if the driver already does")
     gyro: bool = Field(default=True, description="use the gyro where the wheels slip while turning")
@@ -84,7 +86,7 @@ class SlamConfig(Settings):
 
     def usable(self, *lidars: MountedLidar) -> float:
         """The range [m] beyond which returns of these lidars are ignored."""
-        return min(max(lidar.spec.range_max for lidar in lidars), self.usable_range_m)
+        return min(max(lidar.spec.range_max for lidar in lidars), self.usable_range_m or math.inf)
 
     def effective(self) -> SlamConfig:
         """The settings that take effect: with odometry alone, it is the front end, and nothing moves a scan
@@ -197,7 +199,7 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
     usable = config.usable(*log.lidars)
     log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
-    lidar_pose, ranges = recording.T_base_lidar, RangeCalibration()
+    ranges = RangeCalibration()
     tracked = _Tracked.of(log, config, progress)
     if config.calibrate_ranges:
         errors = range_errors(tracked.scans, tracked.track)
@@ -205,11 +207,11 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
             again = _Tracked.of(errors.applied(tracked.log), config, progress)
             if again.misfit_m < NO_WORSE * tracked.misfit_m:
                 tracked, ranges = again, errors
-    setup = tracked.setup(lidar_pose)
-    if setup.lidar_error is not None and log.lidar.time_increment != 0.0:
+    setup = tracked.setup(recording.lidars)
+    if setup.misplaced and sweeps(log):
         again = _Tracked.of(setup.applied(tracked.log), config, progress)
         if again.entropy_bits < AS_SHARP * tracked.entropy_bits:
-            tracked, setup = again, again.setup(lidar_pose)
+            tracked, setup = again, again.setup(recording.lidars)
     track, evidence = tracked.track, tracked.evidence
     breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
     graph = Graph(track.T_track_base[track.keys], steps, [], [], breaks.broken)
@@ -251,30 +253,36 @@ class _Tracked:
         """How far the points of a scan lie from the walls of others [m]."""
         return float(self.track.rmse[self.track.fits].mean()) if self.track.fits.any() else 0.0
 
-    def setup(self, T_base_lidar: SE2) -> SensorSetup:
-        """The sensor set-up by the key scans of the first lidar; empty without odometry, or by it alone."""
-        keys = self.track.keys[self.log.lidar_of[self.track.keys] == 0]
-        if self.log.T_odom_base is None or self.config.front_end == "wheels" or len(keys) < 2:
+    def setup(self, declared: Sequence[MountedLidar]) -> SensorSetup:
+        """The sensor set-up by the key scans of each lidar, which are declared to sit there; empty without
+        odometry, or with nothing else."""
+        if self.log.T_odom_base is None or self.config.front_end == "wheels":
             return SensorSetup()
-        key_scans = KeyScans(self.key_scans.clouds, keys)
-        return sensor_setup(self.log, key_scans, self.track.T_track_base[keys], T_base_lidar)
+        (clouds, keys), found = self.key_scans, []
+        for number, lidar in enumerate(self.log.lidars):
+            its, there = keys[self.log.lidar_of[keys] == number], declared[number].T_base_lidar
+            log = replace(self.log, T_base_lidar=lidar.T_base_lidar)
+            found.append(sensor_setup(log, KeyScans(clouds, its), self.track.T_track_base[its], there))
+        return found[0].with_others(found[1:])
 
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
     """The session with the loops of its graph closed, by distance and by appearance, and the poses of all
-    overlapping key scans refined together."""
+    overlapping key scans refined together, again as long as that brings further loops within reach."""
     config, keys = config.effective(), session.track.keys
     scans, graph, back_end = session.key_scans, session.graph, make_back_end(config.back_end)
-    by_hand = KeyEdits.of(edits, keys)
-    if config.loops.enabled and len(keys) > 2:
-        loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
-        closing = LoopClosing(loops, by_hand, back_end)
+    by_hand, refined = KeyEdits.of(edits, keys), config.refine.rounds > 0 and len(keys) > 2
+    loops = config.loops if refined else config.loops.model_copy(update={"held_m": 0.0})
+    closing, closed = LoopClosing(loops, by_hand, back_end), loops.enabled and len(keys) > 2
+    if closed:
         graph = close_graph(scans, graph, session.breaks, closing, config.place_recognition, progress)
-    if config.refine.rounds > 0 and len(keys) > 2:
+    more: Graph | None = graph
+    while refined and more is not None:
         poses, constraints = refine(
-            *scans, graph.T_map_keys, graph.constraints, config.refine, by_hand, back_end
+            *scans, more.T_map_keys, more.constraints, config.refine, by_hand, back_end
         )
-        graph = replace(graph, T_map_keys=poses, constraints=constraints)
+        graph = replace(more, T_map_keys=poses, constraints=constraints)
+        more = look_again(scans, graph, closing) if closed else None
     return replace(session, graph=graph)
 
 

@@ -29,8 +29,9 @@ from turtlebag.pipeline.localisation.localisers import LocaliserName, make_local
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
+from turtlebag.pipeline.slam.sensors.corrected import delay_metrics, in_step
 from turtlebag.pipeline.slam.sensors.mounting import facing
-from turtlebag.pipeline.slam.sensors.turn_comparison import compared_turns, delay_metrics, in_step
+from turtlebag.pipeline.slam.times.timing import compared_times
 from turtlebag.pipeline.stages.requests.options import chosen_settings
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
 from turtlebag.pipeline.stages.sources import Source
@@ -144,7 +145,7 @@ def _summarise(metrics: dict[str, Any], out: Path) -> None:
 
 
 def _compared(recording: Recording) -> Recording:
-    turns = compared_turns(recording)
+    turns = compared_times(recording)
     return facing(in_step(recording, turns)) if turns.alike else recording
 
 

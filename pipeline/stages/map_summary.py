@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.types import Recording, Recording3D
-from turtlebag.pipeline.slam.sensors.turn_comparison import delay_metrics
+from turtlebag.pipeline.slam.sensors.corrected import delay_metrics
 from turtlebag.pipeline.terminal.messages import length, log
 from turtlebag.reports.numbers import lookup
 

@@ -14,6 +14,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.no_return_range import no_return_value
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import load_relations
+from turtlebag.pipeline.slam.mapper import SlamConfig
 
 RADISH = Path(__file__).parents[3] / "shared" / "data" / "radish"
 radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
@@ -68,6 +69,16 @@ def test_far_readings_become_no_return_and_bad_ones_nan(tmp_path):
     assert np.isposinf(recording.ranges[0, :2]).all()
     assert np.isnan(recording.ranges[0, 2])
     assert recording.lidar.range_max == 27.0
+
+
+def test_a_lidar_that_sees_far_is_not_cut_below_what_it_measures(tmp_path):
+    ranges = np.full(180, 3.0)
+    ranges[:3] = [49.99, 79.5, 81.83]
+    recording = load_recording(write(tmp_path, flaser(ranges)))
+    np.testing.assert_allclose(recording.ranges[0, :3], [49.99, 79.5, np.inf])
+    assert recording.lidar.range_max == 80.0
+    assert SlamConfig().usable(*recording.lidars) == 80.0
+    assert SlamConfig(usable_range_m=12.0).usable(*recording.lidars) == 12.0
 
 
 def test_short_range_lidar_shows_its_no_return_value_as_a_spike():

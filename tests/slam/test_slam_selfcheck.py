@@ -71,6 +71,17 @@ def test_a_good_map_has_nothing_against_it(drive):
     assert reasons(drive) == ()
 
 
+@pytest.mark.parametrize(("back_s", "borders", "told"), [(10, NONE, 1), (10, [30], 0), (1, NONE, 0)])
+def test_stamps_that_go_back_are_doubted_but_at_the_begin_of_a_later_log(drive, back_s, borders, told):
+    log, *rest = drive
+    stamps_ns = log.stamps_ns - np.where(np.arange(60) >= 30, back_s * 10**9, 0)
+    against = reasons((replace(log, stamps_ns=stamps_ns), *rest), borders=np.array(borders, dtype=np.int64))
+    assert [reason for reason in against if "stamps" in reason] == told * [
+        f"the stamps go back by {back_s - 0.2:.1f} s (first: at scan 30): "
+        "scans and odometry may be of different times from there on"
+    ]
+
+
 def test_scans_that_fit_nothing_are_counted(drive):
     overlap = np.ones(60)
     overlap[20:40] = 0.05

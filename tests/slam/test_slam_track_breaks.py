@@ -8,13 +8,13 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, drifted, recording
 from turtlebag.datasets.durations import nanoseconds
-from turtlebag.datasets.motion import without_gap
+from turtlebag.datasets.motion import gaps_between, without_gap
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
 from turtlebag.pipeline.slam.loops.by_appearance import joined_parts, relaxed
-from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, breaks_of, gaps_between
+from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, breaks_of
 from turtlebag.pipeline.slam.odometry.evidence import evidence_of
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig

@@ -15,7 +15,7 @@ from typing import NamedTuple
 BASE = -3.0
 WEIGHTS = {
     "contradicted": 3.1, "lost": 3.0, "empty": 1.0, "broken": 3.5, "mirrored": 5.0, "moved": 5.0,
-    "uncertain": 1.7, "thick": 2.2, "wheels": 0.0, "still": 3.2,
+    "merged": 5.0, "uncertain": 1.7, "thick": 2.2, "wheels": 0.0, "still": 3.2,
 }  # fmt: skip
 # Larger terms count as this one; a map is doubtful from this probability on.
 MOST, DOUBTFUL = 3.0, 0.37

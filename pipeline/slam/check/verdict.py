@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S, way_and_turn
+from turtlebag.datasets.motion import FASTER, GAP_S, gap_s, way_and_turn
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -29,8 +29,8 @@ from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
-from turtlebag.pipeline.slam.sensors.turn_comparison import odometry_stream, usual_period
 from turtlebag.pipeline.slam.sessions import Session
+from turtlebag.pipeline.slam.times.stretches import odometry_stream, usual_period
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
@@ -80,6 +80,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertain
         *_contradicted(T_map_keys, pairs, share),
         *_scans(track),
         *_breaks(session),
+        *_merged(session.recording),
         *_motions(session, T_map_base),
         *_uncertain(T_map_keys.xy[asked[sigmas.argmax()]], float(sigmas.max()), session.evidence),
         *_walls(session),
@@ -147,10 +148,21 @@ def _breaks(session: Session) -> Iterator[Term]:
         )
 
 
+def _merged(recording: Recording) -> Iterator[Term]:
+    """Scans of which parts were taken at different times."""
+    if recording.times.apart_s > 0.0:
+        yield Term(
+            "merged",
+            1.0,
+            f"parts of each scan disagree about the motion by up to {recording.times.apart_s:.2f} s (two "
+            "lidars merged without synchronisation?): walls are drawn twice where the robot turns",
+        )
+
+
 def _motions(session: Session, T_map_base: SE2) -> Iterator[Term]:
-    """Jumps and slides that the robot cannot have made."""
+    """Jumps and slides that the robot cannot have made, and a clock that went back."""
     recording, evidence = session.recording, session.evidence
-    for reason in _jumps(evidence, T_map_base, _steps_in_gap(recording)):
+    for reason in (*_back_in_time(evidence), *_jumps(evidence, T_map_base, _steps_in_gap(recording))):
         yield Term("moved", 1.0, reason)
         return
     slid = slides(recording, T_map_base, evidence.borders)
@@ -240,6 +252,20 @@ def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
             many, first = counted(len(jumped), "jump"), jumped[0, 1]
             return [f"{many} farther than the robot can drive (first: to scan {first})"]
     return []
+
+
+def _back_in_time(evidence: Evidence) -> list[str]:
+    """Whether the clock went back within a log by more than a gap: scans and odometry may not belong to each
+    other from there on. Shorter steps back are messages out of order."""
+    waits = seconds(np.diff(evidence.stamps_ns))
+    back = 1 + np.flatnonzero(waits < -gap_s(waits))
+    back = np.setdiff1d(back, evidence.borders)
+    if not len(back):
+        return []
+    return [
+        f"the stamps go back by {-waits[back[0] - 1]:.1f} s (first: at scan {back[0]}): "
+        "scans and odometry may be of different times from there on"
+    ]
 
 
 def _steps_in_gap(recording: Recording) -> int:

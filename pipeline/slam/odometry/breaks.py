@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import gap_s
+from turtlebag.datasets.motion import gap_s, gaps_between
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import Track
 
-STAMPS_NEAR = 12
 # After a wait shorter than this many of the shortest gaps, odometry alone may determine a blind direction,
 # because it says nothing impossible. After a longer one it may be metres off (MIT CSAIL, 20 s without a
 # scan: 1.6 m after 19 m there and back), and a scan aligned from its prediction agrees with it in any case:
@@ -94,18 +93,3 @@ def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
             gaps.append((before, after))
     between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
     return TrackBreaks(broken, contradicted, alone, between)
-
-
-def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Pairs (n, 2) of successive scans that `saw` something, with a long time between them in which none
-    did."""
-    usable = np.flatnonzero(saw)
-    stamps = seconds(stamps_ns[usable])
-    if len(stamps) < 2:
-        return np.zeros((0, 2), dtype=np.int64)
-    # stamps out of order make false gaps, so the latest before is compared with the earliest after
-    padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
-    near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
-    waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
-    long = np.flatnonzero(waits > gap_s(np.diff(stamps)))
-    return np.stack([usable[long], usable[long + 1]], axis=1)

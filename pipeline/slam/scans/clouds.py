@@ -34,8 +34,6 @@ MIN_GAP_M, GRAZING = 0.06, 6.0
 MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
 # A line is rejected if its returns deviate from it by more than noise explains, at one error in a thousand.
 Z_SURFACE = 3.09
-# Returns beyond this are not used [m]: the farther a wall, the fewer beams hit it.
-USABLE_M = 30.0
 # A line whose direction is less certain than this is not used.
 UNSURE_RAD = 0.3
 

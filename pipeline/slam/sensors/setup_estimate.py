@@ -7,6 +7,7 @@ and the scale of the wheels: one least squares gives all, with a covariance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.sensor_times import Estimate
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
 from turtlebag.pipeline.slam.odometry.calibration import (
@@ -28,6 +31,7 @@ from turtlebag.pipeline.slam.odometry.calibration import (
 from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.sensors.gyro_slip import GyroTurns
+from turtlebag.pipeline.slam.times.stretches import usual_period
 
 # What is estimated of wheels and lidar, and of a gyro: name, unit, and standard deviation a priori.
 WHEELS_LIDAR = (
@@ -43,6 +47,9 @@ BETTER = 2.0
 SIGNIFICANT, POSSIBLE = 5.0, 3.0
 # The equations are solved this many times, each time about the last solution.
 ROUNDS = 3
+
+
+PoseError = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -72,10 +79,12 @@ class Quantity:
 @dataclass(frozen=True)
 class SensorSetup:
     """The estimated set-up; `lidar_error` (3,) is how far the lidar is from where the recording that was
-    mapped has it, x, y [m] and yaw, if that is significant and possible."""
+    mapped has it, x, y [m] and yaw, if that is significant and possible; `others` are those of further
+    lidars."""
 
     quantities: tuple[Quantity, ...] = ()
-    lidar_error: tuple[float, float, float] | None = None
+    lidar_error: PoseError | None = None
+    others: tuple[PoseError | None, ...] = ()
 
     def __getitem__(self, name: str) -> Quantity:
         return next(one for one in self.quantities if one.name == name)
@@ -94,15 +103,37 @@ class SensorSetup:
         """The set-up of such data."""
         return SensorSetup(tuple(Quantity(**one) for one in records))
 
+    @property
+    def misplaced(self) -> bool:
+        """Whether some lidar is not where the recording has it."""
+        return any(error is not None for error in (self.lidar_error, *self.others))
+
+    def with_others(self, others: Sequence[SensorSetup]) -> SensorSetup:
+        """With the poses of further lidars, by scans of their own: `lidar_x_2` is the second one's x."""
+        quantities = [
+            replace(one, name=f"{one.name}_{number}")
+            for number, setup in enumerate(others, start=2)
+            for one in setup.quantities
+            if one.name.startswith("lidar_")
+        ]
+        errors = tuple(setup.lidar_error for setup in others)
+        return replace(self, quantities=(*self.quantities, *quantities), others=errors)
+
     def applied(self, recording: Recording) -> Recording:
-        """The recording with its lidar where the estimate has it."""
-        assert self.lidar_error is not None
-        x, y, yaw = self.lidar_error
+        """The recording with its lidars where the estimate has them."""
+        errors = iter((self.lidar_error, *self.others))
+        return of_each_lidar(recording, lambda part: self._placed(part, next(errors)))
+
+    @staticmethod
+    def _placed(recording: Recording, error: PoseError | None) -> Recording:
+        if error is None:
+            return recording
+        x, y, yaw = error
         said = (
             f"the lidar sits {100.0 * x:+.1f} cm (x), {100.0 * y:+.1f} cm (y) and {np.rad2deg(yaw):+.1f} "
             "degrees from the recorded mounting (by the motion of scans and odometry); corrected"
         )
-        pose = SE2(recording.T_base_lidar.xyt + self.lidar_error)
+        pose = SE2(recording.T_base_lidar.xyt + error)
         return replace(recording, T_base_lidar=pose, notes=(*recording.notes, said))
 
 
@@ -133,7 +164,23 @@ def sensor_setup(
         turns, known = GyroTurns(recording.imu).turns(recording.stamps_ns[keys])
         times = seconds(recording.stamps_ns[keys] - recording.stamps_ns[keys[0]])
         quantities += _gyro(turns, known, times, pairs, matched.yaw, information)
+    quantities += _times(recording)
     return SensorSetup(quantities, _wrong_pose(values[3:], covariance[3:, 3:]))
+
+
+def _times(recording: Recording) -> tuple[Quantity, ...]:
+    """When odometry and lidar measured; what was assumed where the drive does not show it."""
+    times, lidar = recording.times, recording.lidar
+    sweep = lidar.time_increment * lidar.n_beams / usual_period(recording)
+    known = [
+        ("odometry_delay", times.delay_s, "s", Estimate(0.0, 0.2)),
+        ("sweep", times.sweep, "periods", Estimate(sweep, 0.5)),
+        ("first_beam", times.first_beam, "1", Estimate(0.0, 0.25 * lidar.n_beams)),
+    ]
+    return tuple(
+        Quantity(name, (one or assumed).value, (one or assumed).sigma, unit, one is not None)
+        for name, one, unit, assumed in known
+    )
 
 
 def _wheels_and_lidar(
@@ -222,7 +269,7 @@ def _named(
     )
 
 
-def _wrong_pose(error: Array, covariance: Array) -> tuple[float, float, float] | None:
+def _wrong_pose(error: Array, covariance: Array) -> PoseError | None:
     """The error of the lidar's pose (3,) if it is significant and possible."""
     significant = error @ np.linalg.solve(covariance, error) > SIGNIFICANT**2
     usual = np.array([sigma for _, _, sigma in WHEELS_LIDAR[3:]])
