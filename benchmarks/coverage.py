@@ -28,7 +28,7 @@ from benchmarks.runner import Case, Row, Suite, grouped, options, parsed, run, s
 from benchmarks.slam_logs import mapped
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.seeds import stream
-from turtlebag.pipeline.slam.check.p_bad import DOUBTFUL, Term, p_bad
+from turtlebag.pipeline.slam.check.p_bad import DOUBTFUL, WEIGHTS, Term, p_bad
 from turtlebag.pipeline.slam.mapper import SlamResult
 from turtlebag.pipeline.stages.localise import LocaliseConfig, aligned_in_time, run_amcl
 from turtlebag.reports.metrics.map import map_metrics
@@ -139,7 +139,8 @@ def judged(rows: Sequence[Row]) -> list[Row]:
             # where people walk, they are drawn, and no wall of the true map is there
             elsewhere = row["within"] < BAD_WALLS and row["kind"] != "people"
             bad = bool(row["worst_m"] > limit or elsewhere)
-            said = p_bad([Term(name, size, "") for name, size in row["check"]["terms"].items()])
+            sizes = row["check"]["terms"]
+            said = p_bad([Term(name, sizes.get(name, 0.0), "") for name in WEIGHTS])
             verdict = "doubtful" if said >= DOUBTFUL else "good"
             row = {**row, "limit_m": limit, "bad": bad, "p_bad": said, "verdict": verdict}
         found.append(row)

@@ -70,7 +70,7 @@ def test_bad_is_far_off_or_five_times_the_median_of_its_own_world_or_has_walls_e
 def test_the_likeliest_weights_are_found_and_none_is_below_zero():
     rng = np.random.default_rng(1)
     X = rng.uniform(0.0, 3.0, (4000, len(WEIGHTS)))
-    true = np.linspace(-0.5, 2.0, len(WEIGHTS))
+    true = np.linspace(-0.3, 1.0, len(WEIGHTS))
     bad = rng.random(4000) < 1.0 / (1.0 + np.exp(6.0 - X @ np.maximum(true, 0.0)))
     base, weights = fitted(X, bad)
     assert base == pytest.approx(-6.0, abs=1.5)
