@@ -14,6 +14,7 @@ from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.motion import sweeps
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
@@ -198,7 +199,7 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
     usable = config.usable(*log.lidars)
     log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
-    lidar_pose, ranges = recording.T_base_lidar, RangeCalibration()
+    ranges = RangeCalibration()
     tracked = _Tracked.of(log, config, progress)
     if config.calibrate_ranges:
         errors = range_errors(tracked.scans, tracked.track)
@@ -206,11 +207,11 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
             again = _Tracked.of(errors.applied(tracked.log), config, progress)
             if again.misfit_m < NO_WORSE * tracked.misfit_m:
                 tracked, ranges = again, errors
-    setup = tracked.setup(lidar_pose)
-    if setup.lidar_error is not None and log.lidar.time_increment != 0.0:
+    setup = tracked.setup(recording.lidars)
+    if setup.misplaced and sweeps(log):
         again = _Tracked.of(setup.applied(tracked.log), config, progress)
         if again.entropy_bits < AS_SHARP * tracked.entropy_bits:
-            tracked, setup = again, again.setup(lidar_pose)
+            tracked, setup = again, again.setup(recording.lidars)
     track, evidence = tracked.track, tracked.evidence
     breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
     graph = Graph(track.T_track_base[track.keys], steps, [], [], breaks.broken)
@@ -244,20 +245,25 @@ class _Tracked:
     def entropy_bits(self) -> float:
         """How blurred its map is before loops are closed; askew, as chance sharpens walls along the cells."""
         log, scans, poses = self.log, self.scans, SE2.from_xyt(0.0, 0.0, 0.5) @ self.track.T_track_base
-        certainty = make_checked_grid(log, poses, self.config.grid, scans.usable_m, scans.motion).certainty
-        return certainty.entropy_bits
+        drawn = make_checked_grid(log, poses, self.config.grid, scans.usable_m, scans.motion)
+        return drawn.certainty.entropy_bits
 
     @property
     def misfit_m(self) -> float:
         """How far the points of a scan lie from the walls of others [m]."""
         return float(self.track.rmse[self.track.fits].mean()) if self.track.fits.any() else 0.0
 
-    def setup(self, T_base_lidar: SE2) -> SensorSetup:
-        """The sensor set-up by its key scans; empty without odometry, or with nothing else."""
+    def setup(self, declared: Sequence[MountedLidar]) -> SensorSetup:
+        """The sensor set-up by the key scans of each lidar, which are declared to sit there; empty without
+        odometry, or with nothing else."""
         if self.log.T_odom_base is None or self.config.front_end == "wheels":
             return SensorSetup()
-        T_track_keys = self.track.T_track_base[self.track.keys]
-        return sensor_setup(self.log, self.key_scans, T_track_keys, T_base_lidar)
+        (clouds, keys), found = self.key_scans, []
+        for number, lidar in enumerate(self.log.lidars):
+            its, there = keys[self.log.lidar_of[keys] == number], declared[number].T_base_lidar
+            log = replace(self.log, T_base_lidar=lidar.T_base_lidar)
+            found.append(sensor_setup(log, KeyScans(clouds, its), self.track.T_track_base[its], there))
+        return found[0].with_others(found[1:])
 
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
