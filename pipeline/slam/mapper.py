@@ -243,8 +243,8 @@ class _Tracked:
     def entropy_bits(self) -> float:
         """How blurred its map is before loops are closed; askew, as chance sharpens walls along the cells."""
         log, scans, poses = self.log, self.scans, SE2.from_xyt(0.0, 0.0, 0.5) @ self.track.T_track_base
-        _, certainty = make_checked_grid(log, poses, self.config.grid, scans.usable_m, scans.motion)
-        return certainty.entropy_bits
+        drawn = make_checked_grid(log, poses, self.config.grid, scans.usable_m, scans.motion)
+        return drawn.certainty.entropy_bits
 
     @property
     def misfit_m(self) -> float:

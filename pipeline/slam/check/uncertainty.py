@@ -22,7 +22,6 @@ from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.graph.drift import plane_motions, read_at
 from turtlebag.pipeline.slam.graph.pose_graph import marginals, positive_definite
-from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.align import match_information
 
@@ -175,7 +174,7 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unobserved_m:
     """
     seen = [k for k, c in enumerate(constraints) if c.kind not in (Kind.WHEELS, Kind.STEADY, Kind.BORDER)]
     if seen:
-        along = Calibration().effects(np.array([constraints[k].T_i_j for k in seen]))[:, :, :1]
+        along = _calibration_effects(np.array([constraints[k].T_i_j for k in seen]))[:, :, :1]
         yield np.array(seen), RANGE_SHARE * along
     odometry = [k for k, c in enumerate(constraints) if c.kind is Kind.WHEELS]
     if odometry:

@@ -21,10 +21,10 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.base import Verdict
 from turtlebag.pipeline.slam.check.p_bad import Term, doublings, p_bad, reasons
+from turtlebag.pipeline.slam.check.size import Size, size_of
 from turtlebag.pipeline.slam.check.uncertainty import Uncertainty
 from turtlebag.pipeline.slam.graph.constraints import Kind
 from turtlebag.pipeline.slam.graph.cost import mahalanobis
-from turtlebag.pipeline.slam.check.size import Size, size_of
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
