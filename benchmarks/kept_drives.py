@@ -8,6 +8,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from benchmarks.disturb import disturbed
 from benchmarks.known_logs import Known
@@ -17,7 +18,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 
 SCRIPTS = ("walk", "swift", "walls")
-FAULTS = {
+FAULTS: dict[str, dict[str, Any]] = {
     "slip": {"sim.faults.slip": [[20.0, 25.0, 0.7, 0.7], [90.0, 92.0, 0.3, 0.0]]},
     "silent": {"sim.faults.scan_silent": [[35.0, 38.0], [100.0, 103.0]]},
 }

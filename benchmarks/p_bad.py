@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from benchmarks.coverage import judged
 from benchmarks.runner import Row, options, rows_file, share
@@ -30,7 +31,7 @@ def features(rows: Sequence[Row]) -> Array:
     return np.array([[min(row["check"]["terms"].get(name, 0.0), MOST) for name in WEIGHTS] for row in rows])
 
 
-def fitted(X: Array, bad: Array) -> tuple[float, Array]:
+def fitted(X: Array, bad: NDArray[np.bool_]) -> tuple[float, Array]:
     """Base and weights of the likeliest model for terms (n, k) of maps that are `bad` (n,)."""
     prior = np.array(list(PRIOR.values()))
 
@@ -44,7 +45,7 @@ def fitted(X: Array, bad: Array) -> tuple[float, Array]:
     return float(w[0]), w[1:]
 
 
-def threshold(p: Array, bad: Array) -> float:
+def threshold(p: Array, bad: NDArray[np.bool_]) -> float:
     """The lowest probability from on which at most ALARMS of the good maps are called doubtful."""
     return float(np.quantile(p[~bad], 1.0 - ALARMS))
 

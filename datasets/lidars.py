@@ -22,7 +22,7 @@ def of_each_lidar(recording: Recording, change: Callable[[Recording], Recording]
     if not recording.others:
         return change(recording)
     alone = recording.parts()
-    parts = [change(part) if len(part) else part for _, part in alone]
+    parts = [change(part) for _, part in alone]
     notes = [note for part in parts for note in _of_topic(part, part.notes[len(recording.notes) :])]
     poses = [part.T_odom_base for part in parts]
     known = [T for T in poses if T is not None]

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.motion import sweeps
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
@@ -197,7 +198,7 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
     usable = config.usable(*log.lidars)
     log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
-    lidar_pose, ranges = recording.T_base_lidar, RangeCalibration()
+    ranges = RangeCalibration()
     tracked = _Tracked.of(log, config, progress)
     if config.calibrate_ranges:
         errors = range_errors(tracked.scans, tracked.track)
@@ -205,11 +206,11 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
             again = _Tracked.of(errors.applied(tracked.log), config, progress)
             if again.misfit_m < NO_WORSE * tracked.misfit_m:
                 tracked, ranges = again, errors
-    setup = tracked.setup(lidar_pose)
-    if setup.lidar_error is not None and log.lidar.time_increment != 0.0:
+    setup = tracked.setup(recording.lidars)
+    if setup.misplaced and sweeps(log):
         again = _Tracked.of(setup.applied(tracked.log), config, progress)
         if again.entropy_bits < AS_SHARP * tracked.entropy_bits:
-            tracked, setup = again, again.setup(lidar_pose)
+            tracked, setup = again, again.setup(recording.lidars)
     track, evidence = tracked.track, tracked.evidence
     breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
     graph = Graph(track.T_track_base[track.keys], steps, [], [], breaks.broken)
@@ -251,13 +252,17 @@ class _Tracked:
         """How far the points of a scan lie from the walls of others [m]."""
         return float(self.track.rmse[self.track.fits].mean()) if self.track.fits.any() else 0.0
 
-    def setup(self, T_base_lidar: SE2) -> SensorSetup:
-        """The sensor set-up by the key scans of the first lidar; empty without odometry, or by it alone."""
-        keys = self.track.keys[self.log.lidar_of[self.track.keys] == 0]
-        if self.log.T_odom_base is None or self.config.front_end == "wheels" or len(keys) < 2:
+    def setup(self, declared: Sequence[MountedLidar]) -> SensorSetup:
+        """The sensor set-up by the key scans of each lidar, which are declared to sit there; empty without
+        odometry, or with nothing else."""
+        if self.log.T_odom_base is None or self.config.front_end == "wheels":
             return SensorSetup()
-        key_scans = KeyScans(self.key_scans.clouds, keys)
-        return sensor_setup(self.log, key_scans, self.track.T_track_base[keys], T_base_lidar)
+        (clouds, keys), found = self.key_scans, []
+        for number, lidar in enumerate(self.log.lidars):
+            its, there = keys[self.log.lidar_of[keys] == number], declared[number].T_base_lidar
+            log = replace(self.log, T_base_lidar=lidar.T_base_lidar)
+            found.append(sensor_setup(log, KeyScans(clouds, its), self.track.T_track_base[its], there))
+        return found[0].with_others(found[1:])
 
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:

@@ -52,7 +52,8 @@ def test_distances_are_those_of_each_twentieth_pose_with_the_first_as_anchor():
 
 def a_row(worst, verdict, kind="plain", half="build", within=1.0):
     about = {"world": "w", "robot": "r", "kind": kind, "half": half}
-    return {**about, "worst_m": worst, "within": within, "check": {"verdict": verdict}}
+    terms = {"moved": 1.0 if verdict == "doubtful" else 0.0}
+    return {**about, "worst_m": worst, "within": within, "check": {"terms": terms}}
 
 
 def test_bad_is_far_off_or_five_times_the_median_of_its_own_world_or_has_walls_elsewhere():

@@ -42,6 +42,8 @@ def corrected(recording: Recording, usable_m: float, *, gyro: bool, matched: boo
 
 
 def _compared(recording: Recording, usable_m: float, matched: bool) -> Recording:
+    if len(recording) == 0:
+        return recording
     recording = without_repeats(without_own_body(recording), usable_m)
     turns = compared_turns(recording)
     if turns.alike:

@@ -7,6 +7,7 @@ and the scale of the wheels: one least squares gives all, with a covariance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.graph.pose_graph import chain, positive_definite
@@ -40,6 +42,9 @@ BETTER = 2.0
 SIGNIFICANT, POSSIBLE = 5.0, 3.0
 # The equations are solved this many times, each time about the last solution.
 ROUNDS = 3
+
+
+PoseError = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -69,10 +74,12 @@ class Quantity:
 @dataclass(frozen=True)
 class SensorSetup:
     """The estimated set-up; `lidar_error` (3,) is how far the lidar is from where the recording that was
-    mapped has it, x, y [m] and yaw, if that is significant and possible."""
+    mapped has it, x, y [m] and yaw, if that is significant and possible; `others` are those of further
+    lidars."""
 
     quantities: tuple[Quantity, ...] = ()
-    lidar_error: tuple[float, float, float] | None = None
+    lidar_error: PoseError | None = None
+    others: tuple[PoseError | None, ...] = ()
 
     def __getitem__(self, name: str) -> Quantity:
         return next(one for one in self.quantities if one.name == name)
@@ -91,15 +98,37 @@ class SensorSetup:
         """The set-up of such data."""
         return SensorSetup(tuple(Quantity(**one) for one in records))
 
+    @property
+    def misplaced(self) -> bool:
+        """Whether some lidar is not where the recording has it."""
+        return any(error is not None for error in (self.lidar_error, *self.others))
+
+    def with_others(self, others: Sequence[SensorSetup]) -> SensorSetup:
+        """With the poses of further lidars, by scans of their own: `lidar_x_2` is the second one's x."""
+        quantities = [
+            replace(one, name=f"{one.name}_{number}")
+            for number, setup in enumerate(others, start=2)
+            for one in setup.quantities
+            if one.name.startswith("lidar_")
+        ]
+        errors = tuple(setup.lidar_error for setup in others)
+        return replace(self, quantities=(*self.quantities, *quantities), others=errors)
+
     def applied(self, recording: Recording) -> Recording:
-        """The recording with its lidar where the estimate has it."""
-        assert self.lidar_error is not None
-        x, y, yaw = self.lidar_error
+        """The recording with its lidars where the estimate has them."""
+        errors = iter((self.lidar_error, *self.others))
+        return of_each_lidar(recording, lambda part: self._placed(part, next(errors)))
+
+    @staticmethod
+    def _placed(recording: Recording, error: PoseError | None) -> Recording:
+        if error is None:
+            return recording
+        x, y, yaw = error
         said = (
             f"the lidar sits {100.0 * x:+.1f} cm (x), {100.0 * y:+.1f} cm (y) and {np.rad2deg(yaw):+.1f} "
             "degrees from the recorded mounting (by the motion of scans and odometry); corrected"
         )
-        pose = SE2(recording.T_base_lidar.xyt + self.lidar_error)
+        pose = SE2(recording.T_base_lidar.xyt + error)
         return replace(recording, T_base_lidar=pose, notes=(*recording.notes, said))
 
 
@@ -214,7 +243,7 @@ def _named(
     )
 
 
-def _wrong_pose(error: Array, covariance: Array) -> tuple[float, float, float] | None:
+def _wrong_pose(error: Array, covariance: Array) -> PoseError | None:
     """The error of the lidar's pose (3,) if it is significant and possible."""
     significant = error @ np.linalg.solve(covariance, error) > SIGNIFICANT**2
     usual = np.array([sigma for _, _, sigma in WHEELS_LIDAR[3:]])
