@@ -98,8 +98,7 @@ def matched_pairs(
     clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, steps: Array
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Pairs (n, 2) of keys a baseline apart whose two scans match; T_i_j (n, 3), information (n, 3, 3)."""
-    pairs = baseline_pairs(steps)
-    if not len(pairs):
+    if not len(pairs := baseline_pairs(steps)):
         return pairs, np.zeros((0, 3)), np.zeros((0, 3, 3))
     i, j = pairs[:, 0], pairs[:, 1]
     T_i_j = (T_map_keys[i].inverse() @ T_map_keys[j]).xyt
@@ -120,8 +119,9 @@ def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, informati
     odometry, prior = chain(steps, pairs), ODOMETRY_SHARE**-2 * np.eye(3)
     error = (SE2(odometry).inverse() @ SE2(matched)).xyt
     shares = fit(error, shares_jacobian(steps, pairs, odometry), information, prior)
-    values = (shares.values + np.array([1.0, 1.0, 0.0])).tolist()
-    return Calibration(*values, shares.noise, int(np.count_nonzero(shares.trust > 0.5)), shares.covariance)
+    scale, turn_scale, turn_per_m = (shares.values + np.array([1.0, 1.0, 0.0])).tolist()
+    used = int(np.count_nonzero(shares.trust > 0.5))
+    return Calibration(scale, turn_scale, turn_per_m, shares.noise, used, shares.covariance)
 
 
 class Fit(NamedTuple):
