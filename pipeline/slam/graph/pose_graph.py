@@ -177,3 +177,12 @@ def _cauchy(width: float) -> Any:
     import gtsam
 
     return gtsam.noiseModel.mEstimator.Cauchy.Create(width)
+
+
+def chain(steps: Array, pairs: NDArray[np.int64]) -> Array:
+    """Motion (n, 3) over each pair of keys, composed of steps."""
+    yaw = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    move = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
+    T = SE2.from_array(np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(move, axis=0)]), yaw]))
+    return (T[pairs[:, 0]].inverse() @ T[pairs[:, 1]]).xyt

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.robust import cauchy_weight, sigma_by_median
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
+from turtlebag.pipeline.slam.graph.pose_graph import chain, positive_definite
 from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
-from turtlebag.pipeline.slam.scans.pairs import PairMatches, match_pairs
+from turtlebag.pipeline.slam.scans.pairs import match_pairs
 
 # Key scans are compared over a baseline, this much driving [m] or a radian of turning: far enough for scale
 # errors to exceed the noise of a match, near enough for the views to overlap.
@@ -77,14 +77,8 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     of wrong odometry are down-weighted (Cauchy kernel).
     """
     steps = T_odom_keys.steps()
-    pairs = baseline_pairs(steps)
-    if len(pairs) == 0:
-        return Calibration()
-    found = matched_pairs(clouds, keys, T_map_keys, pairs)
-    good = found.possible
-    if not good.any():
-        return Calibration()
-    return fit_shares(steps, pairs[good], found.T_i_j[good], match_information(found.information[good]))
+    pairs, matched, information = matched_pairs(clouds, keys, T_map_keys, steps)
+    return fit_shares(steps, pairs, matched, information) if len(pairs) else Calibration()
 
 
 def baselines(steps: Array) -> Array:
@@ -101,9 +95,11 @@ def baseline_pairs(steps: Array) -> NDArray[np.int64]:
 
 
 def matched_pairs(
-    clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, pairs: NDArray[np.int64]
-) -> PairMatches:
-    """Each pair (i, j) by its two scans alone."""
+    clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, steps: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Pairs (n, 2) of keys a baseline apart whose two scans match; T_i_j (n, 3), information (n, 3, 3)."""
+    if not len(pairs := baseline_pairs(steps)):
+        return pairs, np.zeros((0, 3)), np.zeros((0, 3, 3))
     i, j = pairs[:, 0], pairs[:, 1]
     T_i_j = (T_map_keys[i].inverse() @ T_map_keys[j]).xyt
     # every pair gets its own key scans, so that each moves on by its own match
@@ -114,7 +110,8 @@ def matched_pairs(
         poses[1::2] = T_i_j
         found = match_pairs(clouds, own_keys, SE2(poses), own_pairs, limits)
         T_i_j = found.T_i_j
-    return found
+    good = found.possible
+    return pairs[good], T_i_j[good], match_information(found.information[good])
 
 
 def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
@@ -122,14 +119,13 @@ def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, informati
     odometry, prior = chain(steps, pairs), ODOMETRY_SHARE**-2 * np.eye(3)
     error = (SE2(odometry).inverse() @ SE2(matched)).xyt
     shares = fit(error, shares_jacobian(steps, pairs, odometry), information, prior)
-    pairs_used = int(np.count_nonzero(shares.trust > 0.5))
     scale, turn_scale, turn_per_m = (shares.values + np.array([1.0, 1.0, 0.0])).tolist()
-    return Calibration(scale, turn_scale, turn_per_m, shares.noise, pairs_used, shares.covariance)
+    used = int(np.count_nonzero(shares.trust > 0.5))
+    return Calibration(scale, turn_scale, turn_per_m, shares.noise, used, shares.covariance)
 
 
 class Fit(NamedTuple):
-    """Parameters (p,), their covariance (p, p), the noise left over a baseline (3,), each pair's weight by
-    Cauchy's kernel (n,), and its part of the gradient (n, p)."""
+    """Parameters (p,), covariance, noise left (3,), each pair's weight (n,) and part of the gradient."""
 
     values: Array
     covariance: Array
@@ -183,12 +179,3 @@ def shares_jacobian(steps: Array, pairs: NDArray[np.int64], odometry: Array) -> 
         end = chain(moved.corrected(steps), pairs)
         out[:, :, k] = (SE2(odometry).inverse() @ SE2(end)).xyt / h
     return out
-
-
-def chain(steps: Array, pairs: NDArray[np.int64]) -> Array:
-    """Motion (n, 3) over each pair of keys, composed of steps."""
-    yaw = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
-    c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])
-    move = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
-    T = SE2.from_array(np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(move, axis=0)]), yaw]))
-    return (T[pairs[:, 0]].inverse() @ T[pairs[:, 1]]).xyt

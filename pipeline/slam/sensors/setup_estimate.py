@@ -19,16 +19,13 @@ from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.sensor_times import Estimate
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
+from turtlebag.pipeline.slam.graph.pose_graph import chain, positive_definite
 from turtlebag.pipeline.slam.odometry.calibration import (
     Calibration,
     Fit,
-    baseline_pairs,
-    chain,
     fit,
     matched_pairs,
 )
-from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.sensors.gyro_slip import GyroTurns
 from turtlebag.pipeline.slam.times.stretches import usual_period
@@ -147,15 +144,10 @@ def sensor_setup(
     clouds, keys = key_scans
     assert recording.T_odom_base is not None
     steps = recording.T_odom_base[keys].steps()
-    pairs = baseline_pairs(steps)
+    pairs, T_i_j, information = matched_pairs(clouds, keys, T_track_keys, steps)
     if not len(pairs):
         return SensorSetup()
-    found = matched_pairs(clouds, keys, T_track_keys, pairs)
-    good = found.possible
-    if not good.any():
-        return SensorSetup()
-    pairs, matched = pairs[good], SE2(found.T_i_j[good])
-    information = match_information(found.information[good])
+    matched = SE2(T_i_j)
     values, covariance = _wheels_and_lidar(steps, pairs, matched, information, recording.T_base_lidar)
     current = np.array([1.0, 1.0, 0.0, *recording.T_base_lidar.xyt])
     declared = [1.0, 1.0, 0.0, *T_base_lidar.xyt.tolist()]
