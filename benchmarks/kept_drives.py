@@ -5,6 +5,7 @@ A drive is known by its number: its world, robot, script, mishap and seed follow
 
 from __future__ import annotations
 
+import os
 import pickle
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 from benchmarks.disturb import disturbed
 from benchmarks.known_logs import Known
-from benchmarks.runner import Row
+from benchmarks.runner import Row, code_of
 from benchmarks.slam_logs import PEOPLE, PLACES, ROBOTS, WORLDS, driven, world_of
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
@@ -26,6 +27,8 @@ DRIVEN = ("plain", "people", "plain", "slip", "plain", "silent", "plain", "plain
 """What goes wrong while a drive is recorded, by its number."""
 AFTERWARDS = ("plain", "stuck", "jump", "late", "drop30")
 """What a drive that went well comes with, kinds of `disturb` in turn."""
+KEPT_BY = ("sim", "datasets/types.py", "benchmarks/kept_drives.py", "benchmarks/known_logs.py")
+"""Drives recorded by other code than this are recorded again."""
 FIRST_SEED, DRIVES = 20001, 300
 
 
@@ -51,13 +54,12 @@ def about(number: int) -> Row:
 
 
 def drive(number: int, folder: Path) -> Drive:
-    """A drive by its number, recorded when it is not in the folder yet."""
-    file = folder / f"{number:03d}.pickle"
+    """A drive by its number, recorded when the folder does not have it of this simulator yet."""
+    file = folder / code_of(KEPT_BY) / f"{number:03d}.pickle"
     if not file.is_file():
-        made, folder_ = _recorded(number), file.parent
-        folder_.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".partial")
-        part.write_bytes(pickle.dumps(made))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_bytes(pickle.dumps(_recorded(number)))
         part.rename(file)
     kept: Drive = pickle.loads(file.read_bytes())
     return kept

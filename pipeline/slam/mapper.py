@@ -309,9 +309,8 @@ def draw_map(session: Session, config: SlamConfig) -> SlamResult:
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
     poses = carried_poses(track.T_track_base, track.keys, graph.T_map_keys, torn)
     drawn = make_checked_grid(log, poses, config.grid, config.usable(*log.lidars), session.motion)
-    constraints = graph.constraints
-    shared = shared_errors(track, constraints, session.evidence.unobserved_m)
-    uncertainty = Uncertainty.of(graph.T_map_keys, constraints, shared)
+    shared = shared_errors(track, graph.constraints, session.evidence.unobserved_m)
+    uncertainty = Uncertainty.of(graph.T_map_keys, graph.constraints, shared)
     check = check_map(session, poses, drawn.certainty, uncertainty)
     covariance = scan_covariances(uncertainty, track, poses, log.stamps_ns)
     trajectory = Trajectory(log.stamps_ns, poses)

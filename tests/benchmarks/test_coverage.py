@@ -35,14 +35,13 @@ def test_there_are_five_hundred_maps_and_two_halves_of_kinds():
     assert {case.about["kind"] for case in localise_cases(Path())} == set(kinds)
 
 
-def test_distances_are_those_of_each_twentieth_pose_with_the_first_as_anchor():
+def test_distances_are_those_of_each_twentieth_pose():
     rng, n = np.random.default_rng(1), 20_001
     truth = SE2(np.zeros((n, 3)))
     off = rng.standard_normal((n, 3)) * [0.1, 0.2, 0.05]
     off[0] = 0.0
-    there = SE2(np.array([3.0, -1.0, 0.7]))
     covariance = np.tile(np.diag(np.square([0.1, 0.2, 0.05])), (n, 1, 1))
-    found = distances(SE2(off), covariance, there @ truth)
+    found = distances(SE2(off), covariance, truth)
     assert len(found["d2"]) == (n - 1) // EVERY
     assert np.mean(np.array(found["d2"]) < 5.991) == pytest.approx(0.95, abs=0.02)
     assert np.mean(np.array(found["d3"]) < 7.815) == pytest.approx(0.95, abs=0.02)
@@ -71,7 +70,7 @@ def test_bad_is_far_off_or_five_times_the_median_of_its_own_world_or_has_walls_e
 def test_the_likeliest_weights_are_found_and_none_is_below_zero():
     rng = np.random.default_rng(1)
     X = rng.uniform(0.0, 3.0, (4000, len(WEIGHTS)))
-    true = np.linspace(-0.5, 2.0, len(WEIGHTS))
+    true = np.linspace(-0.3, 1.0, len(WEIGHTS))
     bad = rng.random(4000) < 1.0 / (1.0 + np.exp(6.0 - X @ np.maximum(true, 0.0)))
     base, weights = fitted(X, bad)
     assert base == pytest.approx(-6.0, abs=1.5)

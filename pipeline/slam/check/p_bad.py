@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 # The log odds of a map against which nothing speaks, and what a term of size 1 adds.
-BASE = -3.0
+BASE = -2.9
 WEIGHTS = {
-    "contradicted": 3.1, "lost": 3.0, "empty": 1.0, "broken": 3.5, "mirrored": 5.0, "moved": 5.0,
-    "merged": 5.0, "uncertain": 1.7, "thick": 2.2, "wheels": 0.0, "still": 3.2,
+    "contradicted": 3.3, "lost": 2.6, "empty": 0.84, "broken": 2.5, "mirrored": 4.9, "moved": 2.9,
+    "merged": 4.0, "uncertain": 2.2, "thick": 1.7, "still": 3.3,
 }  # fmt: skip
 # Larger terms count as this one; a map is doubtful from this probability on.
-MOST, DOUBTFUL = 3.0, 0.37
+MOST, DOUBTFUL = 3.0, 0.3
 
 
 class Term(NamedTuple):

@@ -37,9 +37,9 @@ APART_KEYS, BAD_SHARE = 30, 0.35
 # At most this share of the places, or of the scans, may be wrong; and at most this many key scans, however
 # long the log, may contradict most of their revisits.
 MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
-# Usual for good maps: the largest standard deviation of a key scan [m], and the mean robust residual of pairs
-# and of wheels. Drives shorter than this [m] tell nothing by their length.
-SURE_M, USUAL_APART, USUAL_SLIP = 0.05, 0.04, 0.25
+# Usual for good maps: the largest standard deviation of a key scan [m], the mean robust residual of pairs.
+# Drives shorter than this [m] tell nothing by their length.
+SURE_M, USUAL_APART = 0.05, 0.04
 LEAST_WAY_M = 5.0
 
 
@@ -84,7 +84,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertain
         *_motions(session, T_map_base),
         *_uncertain(T_map_keys.xy[asked[sigmas.argmax()]], float(sigmas.max()), session.evidence),
         *_walls(session),
-        *_wheels(session, T_map_base),
+        *_way(session, T_map_base),
     ]
     return SelfCheck(
         p_bad(terms),
@@ -202,17 +202,8 @@ def _walls(session: Session) -> Iterator[Term]:
         )
 
 
-def _wheels(session: Session, T_map_base: SE2) -> Iterator[Term]:
-    """Wheels that say otherwise: contradicted where they are believed, or much more or less way in all."""
-    graph = session.graph
-    wheels = [c for c in graph.constraints if c.kind is Kind.WHEELS]
-    if wheels:
-        apart = np.log1p(mahalanobis(graph.T_map_keys, wheels) / 3.0)
-        yield Term(
-            "wheels",
-            doublings(float(np.mean(apart)), USUAL_SLIP),
-            "scans and odometry contradict each other all along the way",
-        )
+def _way(session: Session, T_map_base: SE2) -> Iterator[Term]:
+    """Much more or less way by the odometry than by the map, or hardly any, and nothing to confirm that."""
     by_map = float(way_and_turn(T_map_base.steps())[:, 0].sum())
     if session.recording.T_odom_base is not None:
         driven = float(way_and_turn(session.recording.T_odom_base.steps())[:, 0].sum())
