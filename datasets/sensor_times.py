@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Estimate(NamedTuple):
@@ -29,3 +30,10 @@ class SensorTimes:
     first_beam: Estimate | None = None
     upside_down: bool | None = None
     apart_s: float = 0.0
+
+    @staticmethod
+    def of_record(record: Mapping[str, Any]) -> SensorTimes:
+        """From its fields as JSON; ValueError or TypeError if they are not its fields."""
+        estimates = ("delay_s", "sweep", "first_beam")
+        values = {name: Estimate(*map(float, record[name])) for name in estimates if record.get(name)}
+        return SensorTimes(**{**record, **values})

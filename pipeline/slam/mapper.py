@@ -198,7 +198,8 @@ def track_recording(recording: Recording, config: SlamConfig, progress: Progress
     config = config.effective()
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
     usable = config.usable(*log.lidars)
-    log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
+    matched = config.front_end != "wheels"
+    log = corrected(log, usable, gyro=config.gyro, matched=matched, deskew=config.deskew)
     ranges = RangeCalibration()
     tracked = _Tracked.of(log, config, progress)
     if config.calibrate_ranges:

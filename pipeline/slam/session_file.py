@@ -21,6 +21,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import require_bounded_zip
 from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.sensor_times import SensorTimes
 from turtlebag.datasets.types import LidarSpec, MountedLidar, Recording
 from turtlebag.datasets.yaml_files import checked
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind, Loop
@@ -119,6 +120,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         "range_calibration": session.ranges.numbers(),
         "range_calibration_of_others": [errors.numbers() for errors in session.ranges.others],
         "sensors": session.setup.as_records(),
+        "times": asdict(recording.times),
     }
     arrays = {"about": _text(about)} | ({} if session.motion is None else {"motion": session.motion.xyt})
     arrays |= _arrays("", recording) | _arrays("", track.calibration) | _arrays("", graph)
@@ -180,7 +182,8 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     calibration_of["pairs"], lidar = int(calibration_of["pairs"]), _spec(about["lidar"])
     _check(stored, [lidar.n_beams, *(other.spec.n_beams for other in others)])
     named = {"source": str(about["source"]), "topic": str(about.get("topic", ""))}
-    recording = _record(Recording, "", stored, **named, lidar=lidar, others=others)
+    times = SensorTimes.of_record(about.get("times", {}))
+    recording = _record(Recording, "", stored, **named, lidar=lidar, others=others, times=times)
     if others and recording.sensor is None:
         raise ValueError("which lidar took a scan is missing")
     calibration = _record(Calibration, "", stored, **calibration_of)

@@ -10,7 +10,7 @@ from tests.helpers.slam_rooms import ROOM, around_the_room, drifted
 from tests.helpers.two_lidars import HALF, REAR, WIDE, two_lidars
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.lidars import of_each_lidar
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.slam.progress import no_progress
@@ -104,3 +104,17 @@ def test_a_recording_of_fewer_lidars_does_not_join():
     with pytest.raises(InputError, match="its lidar differs from that of test"):
         joined_recording([both, both.parts()[0][1]])
     assert len(joined_recording([both, both]).lidar_of) == 8
+
+
+def test_a_rear_lidar_that_sits_elsewhere_than_declared_is_found_by_its_own_scans():
+    log = two_lidars(POSES, front=WIDE, rear=WIDE, odometry=POSES)
+    declared = REAR.xyt + np.array([0.04, -0.03, 0.03])
+    wrong = replace(log, others=(replace(log.others[0], T_base_lidar=SE2(declared)),))
+    setup = run_slam(wrong, SlamConfig(), no_progress).session.setup
+    found = [setup[f"lidar_{name}_2"] for name in ("x", "y", "yaw")]
+    off = [one.value - true for one, true in zip(found, REAR.xyt.tolist(), strict=True)]
+    assert np.abs(np.array(off[:2])).max() < 0.01
+    assert abs(wrap(off[2])) < 0.01
+    assert [one.declared for one in found] == pytest.approx(declared.tolist())
+    assert setup.lidar_error is None
+    np.testing.assert_allclose(setup.others[0], [-0.04, 0.03, -0.03], atol=0.01)

@@ -32,22 +32,24 @@ def with_sensors(recording: Recording, sensors: str, front_end: str, *, deskew: 
     return recording
 
 
-def corrected(recording: Recording, usable_m: float, *, gyro: bool, matched: bool) -> Recording:
+def corrected(recording: Recording, usable_m: float, *, gyro: bool, matched: bool, deskew: bool) -> Recording:
     """The recording without the robot's own body and a stuck lidar's repeats, its odometry in step with its
     scans, its lidar facing where it does, and the turns in which the wheels slipped replaced by the gyro's,
     if there is one to be used.
 
-    Odometry that does not turn when the scans do is left out if scans are `matched`.
+    Odometry that does not turn when the scans do is left out if scans are `matched`. The times of the beams
+    are compared if these are to be deskewed.
     """
-    recording = of_each_lidar(recording, partial(_compared, usable_m=usable_m, matched=matched))
+    compared = partial(_compared, usable_m=usable_m, matched=matched, deskew=deskew)
+    recording = of_each_lidar(recording, compared)
     return with_gyro(recording) if gyro else recording
 
 
-def _compared(recording: Recording, usable_m: float, matched: bool) -> Recording:
+def _compared(recording: Recording, usable_m: float, matched: bool, deskew: bool) -> Recording:
     if len(recording) == 0:
         return recording
     recording = without_repeats(without_own_body(recording), usable_m)
-    turns = compared_times(recording)
+    turns = compared_times(recording, deskew=deskew)
     if turns.alike:
         return facing(in_step(recording, turns))
     if matched:

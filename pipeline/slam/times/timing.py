@@ -49,7 +49,7 @@ ROUNDS = 8
 # sweeps reversed: 25 and 2.5 m off).
 JUDGES_S = 0.5
 # Shares of the period: sectors that are off by less (rms) do not show in a map; parts of the array that are
-# farther apart than two scans of one lidar ever were (0.01 in 20 logs, 0.23 in merged ones) are two lidars.
+# farther apart than in logs of one lidar (at most 0.01 in 7 logs; 0.23 in three merged ones) are two lidars.
 LEAST_SHARE, MERGED_SHARE = 0.04, 0.1
 # An estimate with a larger standard deviation, as a share of the period or of all beams, is none.
 UNSURE_SHARE = 0.1
@@ -94,13 +94,14 @@ class Seen(NamedTuple):
 Look = Callable[[Belief], Seen]
 
 
-def compared_times(recording: Recording) -> Timing:
-    """The comparison of the times of scans and odometry; empty without odometry."""
+def compared_times(recording: Recording, *, deskew: bool = True) -> Timing:
+    """The comparison of the times of scans and odometry, and if these are to be deskewed, of beams; empty
+    without odometry."""
     if recording.T_odom_base is None or len(recording) < 2:
         return Timing()
     period_s, scans = usual_period(recording), thinned_scans(recording)
     judges = period_s <= JUDGES_S
-    swept = judges and has_sectors(recording.lidar)
+    swept = deskew and judges and has_sectors(recording.lidar)
     noise = usual_noise(scans)
     look = cache(partial(_look, scans, noise, turning(scans), period_s if swept else 0.0))
     believed, over = _settled(look, recording.lidar, period_s, swept)
