@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 # The log odds of a map against which nothing speaks, and what a term of size 1 adds.
-BASE = -2.9
+BASE = -2.92
 WEIGHTS = {
-    "contradicted": 3.3, "lost": 2.6, "empty": 0.84, "broken": 2.5, "mirrored": 4.9, "moved": 2.9,
-    "merged": 4.0, "uncertain": 2.2, "thick": 1.7, "still": 3.3,
+    "contradicted": 3.31, "lost": 2.56, "empty": 0.81, "broken": 2.55, "mirrored": 5.0, "moved": 3.18,
+    "merged": 4.0, "uncertain": 2.09, "thick": 1.73, "still": 3.5,
 }  # fmt: skip
 # Larger terms count as this one; a map is doubtful from this probability on.
-MOST, DOUBTFUL = 3.0, 0.3
+MOST, DOUBTFUL = 3.0, 0.36
 
 
 class Term(NamedTuple):
