@@ -62,7 +62,8 @@ def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
         "paths.png",
     ]
     assert "front.sigma" in page
-    assert "One run of each: no spread is known" in page and "good-number" not in page.partition("<body")[2]
+    assert "One run of each: no spread is known" in page
+    assert "good-number" not in page.partition("<body")[2]
     [table] = re.findall(r'<table class="sortable">.*?</table>', page, flags=re.DOTALL)
     rows = table.partition("<tbody>")[2].count("<tr>")
     assert rows > 0
