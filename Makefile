@@ -8,6 +8,7 @@ SEED ?= 1
 TELEOP ?= tour
 TASK ?= patrol
 GOAL ?=
+START ?=
 PYTHON ?= python3
 
 # Where it goes: OUT names the output folder of the one stage that is asked for.
@@ -42,7 +43,7 @@ OR_AGAIN = || { code=$$?; [ ! -f $@ ] || touch -t 197001020000 $@; exit $$code; 
 RECORD = $(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D)
 MAPPING = $(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
 NAVIGATE = $(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
-  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL))
+  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL)) $(if $(START),--start=$(START))
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z _-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -67,14 +68,14 @@ demo-world:
 
 demo-house:
 	$(MAKE) --no-print-directory record map navigate WORLD=turtlebot3_house TASK=goal GOAL=5.5,-4.5,-1.5708
-	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_house TASK=avoid
+	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_house TASK=avoid START=1,4,0
 
 studio: $(READY) ## open a simulated robot in the browser   (WORLD ROBOT SEED MAP OUT)
 	$(TURTLEBAG) studio --world $(WORLD) --robot $(ROBOT) --seed $(SEED) $(if $(MAP),--map $(MAP)) $(if $(OUT),--out $(OUT))
 
 record: $(RECORD_DIR)/manifest.json ## drive a robot in a world, write a bag   (WORLD ROBOT TELEOP SEED OUT)
 map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
-navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL MAP OUT, or as record)
+navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL START MAP OUT, or as record)
 report: $(REPORT_DIR)/manifest.json ## make the report page of a run   (OUT, or as navigate)
 
 $(RECORD_DIR)/manifest.json: $(call sources,sim datasets reports/metrics) pipeline/stages/record.py | $(READY)
