@@ -10,13 +10,14 @@ TASK ?= patrol
 GOAL ?=
 START ?=
 PYTHON ?= python3
+DATA ?= data
 
 # Where it goes: OUT names the output folder of the one stage that is asked for.
 NAME := $(WORLD)-$(ROBOT)-$(TELEOP)-$(SEED)
-RECORD_DIR = $(if $(filter record,$(MAKECMDGOALS)),$(or $(OUT),data/records/$(NAME)),data/records/$(NAME))
-MAP_DIR = $(if $(filter map,$(MAKECMDGOALS)),$(or $(OUT),data/maps/$(NAME)),data/maps/$(NAME))
-RUN_DIR = $(if $(filter navigate,$(MAKECMDGOALS)),$(or $(OUT),data/runs/$(NAME)-$(TASK)),data/runs/$(NAME)-$(TASK))
-REPORT_DIR = $(if $(filter report,$(MAKECMDGOALS)),$(or $(OUT),data/reports/$(NAME)-$(TASK)),data/reports/$(NAME)-$(TASK))
+RECORD_DIR = $(if $(filter record,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/records/$(NAME)),$(DATA)/records/$(NAME))
+MAP_DIR = $(if $(filter map,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/maps/$(NAME)),$(DATA)/maps/$(NAME))
+RUN_DIR = $(if $(filter navigate,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/runs/$(NAME)-$(TASK)),$(DATA)/runs/$(NAME)-$(TASK))
+REPORT_DIR = $(if $(filter report,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/reports/$(NAME)-$(TASK)),$(DATA)/reports/$(NAME)-$(TASK))
 # Where it comes from: an own bag or log (BAG=) or an own map yaml (MAP=) takes the place of the stage before.
 BAG_INPUT = $(or $(BAG),$(RECORD_DIR))
 MAP_INPUT = $(or $(MAP),$(MAP_DIR)/map.yaml)
@@ -61,7 +62,7 @@ doctor: $(READY) ## check the installation: one line for each missing part
 
 demo: $(READY) ## record, map and navigate in the arena and the house, then report
 	$(MAKE) --no-print-directory --jobs=2 demo-world demo-house
-	$(TURTLEBAG) report --force --out data/reports/demo $(addprefix data/,$(DEMO))
+	$(TURTLEBAG) report --force --out $(DATA)/reports/demo $(addprefix $(DATA)/,$(DEMO))
 
 demo-world:
 	$(MAKE) --no-print-directory record map navigate WORLD=turtlebot3_world TASK=patrol
@@ -74,7 +75,7 @@ studio: $(READY) ## open a simulated robot in the browser   (WORLD ROBOT SEED MA
 	$(TURTLEBAG) studio --world $(WORLD) --robot $(ROBOT) --seed $(SEED) $(if $(MAP),--map $(MAP)) $(if $(OUT),--out $(OUT))
 
 record: $(RECORD_DIR)/manifest.json ## drive a robot in a world, write a bag   (WORLD ROBOT TELEOP SEED OUT)
-map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
+map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),$(DATA)/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
 navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL START MAP OUT, or as record)
 report: $(REPORT_DIR)/manifest.json ## make the report page of a run   (OUT, or as navigate)
 
@@ -84,7 +85,7 @@ $(RECORD_DIR)/manifest.json: $(call sources,sim datasets reports/metrics) pipeli
 $(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) $(wildcard pipeline/stages/map*.py) pipeline/stages/settings.py | $(READY)
 	@$(info $(strip $(MAPPING)))$(MAPPING) $(OR_AGAIN)
 
-data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
+$(DATA)/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
 	cp $(MAP_DIR)/map.pgm $(@:.yaml=.pgm)
 	sed 's/^image: map.pgm/image: $(notdir $(@:.yaml=.pgm))/' $(MAP_DIR)/map.yaml > $@
 
@@ -95,18 +96,19 @@ $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports dat
 	$(TURTLEBAG) report --force --out $(@D) $(REPORT_ON)
 
 # Everything the demo leaves, but for the manifests: those alone may tell one run from another.
-DEMO_AGAIN = rm -rf $(addprefix data/,$(DEMO)) data/reports/demo && $(MAKE) --no-print-directory demo
-DEMO_HASHES = cd data && find $(DEMO) reports/demo -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
+override AGAIN := data/verify/demo
+DEMO_AGAIN = rm -rf $(AGAIN) && $(MAKE) --no-print-directory demo DATA=$(AGAIN)
+DEMO_HASHES = cd $(AGAIN) && find . -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
 
-verify: $(READY) ## run the demo twice and compare every file, then verify its report
+verify: $(READY) ## run the demo twice in a folder of its own, compare every file, then verify its report
 	mkdir -p data/verify
-	$(DEMO_AGAIN) > data/verify/first.log
-	$(DEMO_HASHES) > verify/first.sha256
-	$(DEMO_AGAIN) > data/verify/second.log
-	$(DEMO_HASHES) > verify/second.sha256
+	$(DEMO_AGAIN)
+	$(DEMO_HASHES) > ../first.sha256
+	$(DEMO_AGAIN)
+	$(DEMO_HASHES) > ../second.sha256
 	diff data/verify/first.sha256 data/verify/second.sha256
 	@echo "the same bytes twice: $$(wc -l < data/verify/first.sha256) files"
-	$(TURTLEBAG) verify data/reports/demo
+	$(TURTLEBAG) verify $(AGAIN)/reports/demo
 
 pictures: demo ## the animations of the README and the figure of docs/how-it-maps.md, from the demo
 	cp data/reports/demo/figures/turtlebot3-world-map-animation.gif docs/images/mapping.gif
