@@ -36,7 +36,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
-  bench results bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
+  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -124,6 +124,10 @@ bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-al
 	$(PY) -m benchmarks.slam_campaign --quick
 bench-slam-all: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), drives, disturbances; resumes if stopped
 	$(PY) -m benchmarks.slam_campaign
+bench-coverage: $(READY) ## whether uncertainty and verdicts are true: maps and localisations against the truth; resumes
+	$(PY) -m benchmarks.coverage
+	$(PY) -m benchmarks.p_bad
+	$(PY) .ci/site/reliability_figure.py data/benchmarks/coverage docs/images/reliability.svg
 bench-localise: $(READY) ## localisation: accuracy, speed, global, kidnapped
 	$(PY) -m benchmarks.localise
 bench-plan: $(READY) ## planners: time, length, clearance, success

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.known_logs import Known, Mask
 from turtlebag.datasets.relations import Relations
@@ -169,6 +170,93 @@ def jitter(log: Known, rng: np.random.Generator) -> Known:
     return log.recorded(stamps_ns=stamps + np.arange(len(r)))
 
 
+# The lidar says of itself what is not so.
+
+
+def stamps_back(log: Known, rng: np.random.Generator) -> Known:
+    """Stamps of scans that jump back by 10 s once and go on from there: odometry is that of another time."""
+    r, stamps = log.recording, log.recording.stamps_ns.copy()
+    stamps[log.places(1, rng)[0] :] -= 10 * 10**9
+    driven = r.odometry or Trajectory(r.stamps_ns, log.odometry)
+    return log.recorded(stamps_ns=stamps, T_odom_base=driven.at(stamps))
+
+
+def turned_at(log: Known, share: float, beam: int) -> Known:
+    """A lidar whose sweep takes `share` of what it says, and whose array begins at another beam."""
+    r, lidar = log.recording, log.recording.lidar
+    first = lidar.angle_min + beam * lidar.angle_increment
+    said = replace(lidar, angle_min=first, time_increment=share * lidar.time_increment)
+    return log.recorded(lidar=said, ranges=np.roll(r.ranges, -beam, axis=1))
+
+
+def narrower(log: Known, rng: np.random.Generator) -> Known:
+    """An angle increment that is 4 % too small."""
+    lidar = log.recording.lidar
+    return log.recorded(lidar=replace(lidar, angle_increment=0.96 * lidar.angle_increment))
+
+
+def merged(log: Known, rng: np.random.Generator) -> Known:
+    """Two lidars in one topic: a half of each scan is that of the scan before."""
+    ranges, half = log.recording.ranges.copy(), log.recording.ranges.shape[1] // 2
+    ranges[1:, half:] = log.recording.ranges[:-1, half:]
+    return log.with_ranges(ranges)
+
+
+def rolled(log: Known, beams: NDArray[np.int64]) -> Known:
+    """Each scan turned by so many beams (n,)."""
+    ranges = log.recording.ranges
+    which = (np.arange(ranges.shape[1]) + beams[:, None]) % ranges.shape[1]
+    return log.with_ranges(np.take_along_axis(ranges, which, axis=1))
+
+
+def loose(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that sits loose: every five seconds it turns a little, by up to 4 degrees."""
+    at = rng.uniform(-4.0, 4.0, int(log.times.max() / 5.0) + 2)[(log.times / 5.0).astype(int)]
+    return rolled(log, np.rint(np.deg2rad(at) / log.recording.lidar.angle_increment).astype(np.int64))
+
+
+def bumped(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that somebody bumps into: from then on it is turned by 6 degrees."""
+    after = np.arange(len(log.times)) >= log.places(1, rng)[0]
+    return rolled(log, after * round(np.deg2rad(6.0) / log.recording.lidar.angle_increment))
+
+
+def slow_clock(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar whose clock loses a second in 200."""
+    r = log.recording
+    stamps = r.stamps_ns[0] + (0.995 * (r.stamps_ns - r.stamps_ns[0])).astype(np.int64)
+    return log.recorded(stamps_ns=stamps)
+
+
+def swapped(log: Known, rng: np.random.Generator) -> Known:
+    """Scans that overtake each other: one in ten changes places with the next."""
+    order = np.arange(len(log.recording))
+    for k in np.flatnonzero(rng.random(len(order) - 1) < 0.1).tolist():
+        order[[k, k + 1]] = order[[k + 1, k]]
+    return log.with_ranges(log.recording.ranges[order])
+
+
+def resent(log: Known, rng: np.random.Generator) -> Known:
+    """A driver that sends one scan in five twice, in place of the next."""
+    index = np.arange(len(log.recording))
+    return log.with_ranges(log.recording.ranges[np.where(rng.random(len(index)) < 0.2, index - 1, index)])
+
+
+def flat_tyre(log: Known, rng: np.random.Generator) -> Known:
+    """A wheel that becomes smaller: from then on odometry turns by 8 degrees a metre."""
+    moved = log.odometry.steps()
+    after = np.arange(len(moved)) >= log.places(1, rng)[0]
+    moved[:, 2] += after * np.deg2rad(8.0) * moved[:, 0]
+    return log.with_steps(moved)
+
+
+def crosstalk(log: Known, rng: np.random.Generator) -> Known:
+    """Another lidar in the room: a tenth of the beams end somewhere short."""
+    ranges = log.recording.ranges
+    short = rng.uniform(0.15, 1.0, ranges.shape) * np.where(np.isfinite(ranges), ranges, 3.0)
+    return log.with_ranges(np.where(rng.random(ranges.shape) < 0.1, short, ranges))
+
+
 # All of it.
 
 
@@ -244,11 +332,27 @@ KINDS: dict[str, Mode] = {
     "ghosts": ghosts,
     "floor": floor,
     "other odometry": lambda log, rng: log.with_odometry(log.odometry[::-1]),
+    "stamps back": stamps_back,
+    "sweep of a twentieth": lambda log, rng: turned_at(log, 0.05, 0),
+    "increment": narrower,
+    "one metre": lambda log, rng: log.with_ranges(np.ones(log.recording.ranges.shape)),
+    "reversed sweep": lambda log, rng: turned_at(log, -1.0, 0),
+    "start in mid-sweep": lambda log, rng: turned_at(log, 1.0, log.recording.ranges.shape[1] // 2),
+    "merged": merged,
+    "loose": loose,
+    "bumped": bumped,
+    "slow clock": slow_clock,
+    "swapped": swapped,
+    "resent": resent,
+    "flat tyre": flat_tyre,
+    "crosstalk": crosstalk,
     "steps of 5 cm": lambda log, rng: log.with_ranges(np.round(20.0 * log.recording.ranges) / 20.0),
 }
 """How a log is disturbed, by kind; `plain` is undisturbed, and of the half of its case's number."""
 SCORED = (
     "gap20", "third", "noisy", "fov120", "noise3", "counted back", "carried", "yaw bias", "long ranges",
-    "blocked", "jitter", "ghosts", "floor", "other odometry", "steps of 5 cm",
+    "blocked", "jitter", "ghosts", "floor", "other odometry", "steps of 5 cm", "reversed sweep",
+    "start in mid-sweep", "merged", "loose", "bumped", "slow clock", "swapped", "resent", "flat tyre",
+    "crosstalk",
 )  # fmt: skip
 """Kinds that only tell how good the self-check is."""

@@ -9,7 +9,6 @@ Suites:
   drives     300 simulated drives: five places, two robots, every script, unseen seeds
   fast50     house, burger, `fast`, seeds 1001-1050, realistic and clean sensors
   mishaps    drives in which something goes wrong, as they are and with four other lidars
-  detector   the self-check on good and bad maps (benchmarks.slam_detector)
   worlds     the drives of docs/lab/mapping.md
   ablation   each part of the mapper switched off or exchanged
   parts      the exchangeable parts on public logs and drives
@@ -36,8 +35,8 @@ from benchmarks import slam_logs as logs
 from benchmarks.runner import Suite, options, parsed, public, run
 from benchmarks.slam3d import space_cases, worth_cases
 from benchmarks.slam_cost import COSTS, ONLINE, growth_cases, online_cases
-from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table, number_cases, number_table
+from benchmarks.slam_scores import by
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py", "benchmarks/known_logs.py")
 DISTURBED = (*MAPPER, "benchmarks/disturb.py")
@@ -54,7 +53,6 @@ MADE = (*EXACT, "folded", "driven_m", "odometry_m")
 def suites(args: Namespace) -> dict[str, Suite]:
     """Every suite by name; without the public logs those that need them have no cases."""
     out, drives = args.out.absolute(), by("world", "robot", "teleop")
-    made = (*SIMULATED, "tests/helpers/made_drives.py", "tests/helpers/made_logs.py")
     grown = (*SIMULATED, "pipeline/stages/map.py", "benchmarks/slam_cost.py")
     return {
         "logs": Suite(logs.log_cases(out), (*BASICS, *logs.COLUMNS, *ENDS), quick=99, code=MAPPER),
@@ -62,9 +60,6 @@ def suites(args: Namespace) -> dict[str, Suite]:
         "drives": Suite(logs.drive_cases(), (*WORLD, *ENDS), drives, quick=12, code=SIMULATED),
         "fast50": Suite(logs.fast_cases(), (*EXACT, *ENDS), by("sensors"), quick=6, code=SIMULATED),
         "mishaps": Suite(logs.mishap_cases(out), (*MADE, *ENDS), by("lidar"), quick=20, code=SIMULATED),
-        "detector": Suite(
-            detector_cases(), ("half", *EXACT, "limit_m", "bad", *ENDS), detection, judged, 26, made
-        ),
         "worlds": Suite(logs.world_cases(out), (*WORLD, *ENDS), code=SIMULATED),
         "ablation": Suite(ablation_cases(), (*EXACT, *ENDS), ablation_table, code=SIMULATED),
         "parts": Suite(ablation_cases(CHOICES, PARTS), (*EXACT, *ENDS), ablation_table, code=SIMULATED),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -10,6 +12,7 @@ from benchmarks.runner import Row
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.stages.map_summary import BAD_M
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.trajectory import PosePairs, summary
 
@@ -58,3 +61,42 @@ def _folded(estimate: SE2, true: SE2) -> float:
     near = cKDTree(est).query_ball_point(est, 1.0)
     far = [(np.linalg.norm(tru[others] - tru[i], axis=1) > FOLD_M).any() for i, others in enumerate(near)]
     return float(np.mean(far))
+
+
+def accuracy(rows: Sequence[Row]) -> Row:
+    """Figures of many maps with exact truth; m after a rigid fit."""
+    done = [row for row in rows if "error" not in row]
+    if not done:
+        return {"maps": 0, "errors": len(rows)}
+    far = [row for row in done if row["worst_m"] > BAD_M]
+
+    def under(limit: float, key: str) -> int:
+        return sum(row[key] <= limit for row in done)
+
+    return {
+        "maps": len(done),
+        "errors": len(rows) - len(done),
+        "median m": float(np.median([row["m"] for row in done])),
+        "under 2 cm": under(0.02, "m"),
+        "median worst": float(np.median([row["worst_m"] for row in done])),
+        "worst": max(row["worst_m"] for row in done),
+        "worst under 5 cm": under(0.05, "worst_m"),
+        "under 10 cm": under(0.1, "worst_m"),
+        "under 10 cm, anchored": under(0.1, "anchored_worst_m"),
+        f"beyond {BAD_M} m": len(far),
+        "of these good": sum(row["verdict"] == "good" for row in far),
+        "others doubtful": sum(row["verdict"] != "good" for row in done if row not in far),
+    }
+
+
+def by(*keys: str) -> Callable[[list[Row]], list[Row]]:
+    """A table of `accuracy`: all rows, and those of each value of some columns."""
+
+    def table(rows: list[Row]) -> list[Row]:
+        parts = {"all": rows}
+        for key in keys:
+            for value in dict.fromkeys(row[key].partition(":")[0] for row in rows):
+                parts[value] = [row for row in rows if row[key].partition(":")[0] == value]
+        return [{"of": name, **accuracy(part)} for name, part in parts.items()]
+
+    return table

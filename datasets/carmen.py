@@ -30,10 +30,11 @@ from turtlebag.datasets.number_text import decimal, decimals, whole
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.trajectories import stamp_from_text
-from turtlebag.datasets.types import LidarSpec, Recording, Stamps
+from turtlebag.datasets.types import NOTHING_M, LidarSpec, Recording, Stamps
 
-FAR = 49.99
-"""No planar lidar of these logs sees farther: larger readings are codes for "no return" [m]."""
+FAR = 81.83
+"""A SICK's readings from here on are codes for "no return", and no planar lidar of these logs sees farther
+[m]."""
 
 _HALF_CIRCLES = (180, 181, 360, 361)
 """Numbers of beams of a SICK that sees half a circle."""
@@ -50,6 +51,8 @@ class _Line(NamedTuple):
     number: int
     view: tuple[float, float] | None
     """First angle and increment, where the line states them."""
+    range_max: float
+    """The largest range that it states, else FAR [m]."""
 
     @property
     def beams(self) -> int:
@@ -90,7 +93,7 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
     poses_lidar, poses_base = SE2.from_array(values[:, n : n + 3]), SE2.from_array(values[:, n + 3 :])
     if T_base_lidar is None:
         T_base_lidar = _laser_pose(poses_base, poses_lidar, params, notes)
-    ranges, range_max = _normalised(values[:, :n], notes)
+    ranges, range_max = _normalised(values[:, :n], lidar.range_max, notes)
     return Recording(
         source=str(path),
         stamps_ns=stamps,
@@ -131,13 +134,13 @@ def _parsed(kind: bytes, words: list[str], number: int) -> _Line:
         poses = first + n
         if len(words) != poses + 9:
             raise ValueError("wrong number of fields")
-        view = None
+        view, range_max = None, FAR
     else:
         n, first = whole(words[8]), 9
         poses = first + n + 1 + whole(words[first + n])
         if len(words) != poses + 14:
             raise ValueError("wrong number of fields")
-        view = decimal(words[2]), decimal(words[4])
+        view, range_max = (decimal(words[2]), decimal(words[4])), decimal(words[5])
     if n < 1:
         raise ValueError("no beams")
     if not 0.0 <= decimal(words[-3]) < _END_OF_TIME_S:
@@ -146,7 +149,7 @@ def _parsed(kind: bytes, words: list[str], number: int) -> _Line:
     values = np.array(decimals(words[first : first + n] + words[poses : poses + 6]))
     if not (np.abs(values[-6:]) < FAR_M).all():
         raise ValueError("an impossible pose")
-    return _Line(values, stamp, number, view)
+    return _Line(values, stamp, number, view, range_max)
 
 
 def _geometries(lines: list[_Line], notes: list[str]) -> list[Geometry | None]:
@@ -168,7 +171,7 @@ def _geometries(lines: list[_Line], notes: list[str]) -> list[Geometry | None]:
 def _geometry(line: _Line) -> Geometry:
     n = line.beams
     first, step = line.view or (-math.pi / 2.0, math.pi / max(n - n % 2, 1))
-    return Geometry(first, first + (n - 1) * step, step, 0.0, FAR, n)
+    return Geometry(first, first + (n - 1) * step, step, 0.0, line.range_max, n)
 
 
 def _on_one_grid(
@@ -186,7 +189,7 @@ def _on_one_grid(
     stamps = np.array([line.stamp_ns for line, _ in good], dtype=np.int64)
     rows, found = [line.values for line, _ in good], [key for _, key in good]
     main = Counter(found).most_common(1)[0][0]
-    lidar = LidarSpec(main.n, main.angle_min, main.increment, 0.0, FAR)
+    lidar = LidarSpec(main.n, main.angle_min, main.increment, 0.0, max(main.range_max, NOTHING_M))
     if len(set(found)) == 1:
         return stamps, np.array(rows), lidar
     findings: list[Finding] = []
@@ -207,11 +210,14 @@ def _in_metres(values: Array, stamps: Stamps, notes: list[str]) -> Array:
     return values if (scale == 1.0).all() else values * scale
 
 
-def _normalised(readings: Array, notes: list[str]) -> tuple[NDArray[np.float32], float]:
-    """REP-117 ranges and the largest range: codes for "no return" become +inf, readings <= 0 NaN."""
+def _normalised(readings: Array, stated: float, notes: list[str]) -> tuple[NDArray[np.float32], float]:
+    """REP-117 ranges and the largest range: codes for "no return" become +inf, readings <= 0 NaN. `stated` is
+    the largest range by the log, which is wrong if most readings are longer."""
     readings = np.where(readings > 0.0, readings, np.nan)
+    believed = np.count_nonzero(readings < stated) > np.count_nonzero(readings >= stated)
+    end = min(stated, FAR) if believed else FAR
     # a long code does not hide a short one
-    limit = min(no_return_value(np.where(readings < FAR, readings, np.nan)), FAR)
+    limit = min(no_return_value(np.where(readings < end, readings, np.nan)), end)
     far = readings >= limit
     near = readings[~far & np.isfinite(readings)]
     if not near.size:

@@ -56,6 +56,8 @@ KINDS: dict[str, Kind] = {
     "millimetres": Kind("error", "other readers take them for metres"),
     "mounting": Kind("note"),
     "beam angles": Kind("error", "the directions of the readings are unknown"),
+    "scans left out": Kind("note"),
+    "several lidars": Kind("note"),
     "fence-post": Kind(
         "warning", "slam_toolbox and Karto refuse such scans, others shift each beam a little"
     ),

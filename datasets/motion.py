@@ -16,8 +16,10 @@ KNOTS = 8
 # fast [m/s, rad/s], however rarely it does.
 FASTER, NEARLY_ALWAYS = 1.3, 0.98
 ANY_ROBOT = (1.0, 4.0)
-# Between scans further apart than this [s] nothing is known.
-GAP_S = 2.0
+# Between scans further apart than this [s], and than this many usual periods, nothing is known.
+GAP_S, GAP_PERIODS = 2.0, 3.0
+# Stamps may be out of order among so many.
+STAMPS_NEAR = 12
 
 
 def fastest(moved: Array, seconds: Array) -> Array:
@@ -27,14 +29,30 @@ def fastest(moved: Array, seconds: Array) -> Array:
     return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
 
 
-def is_gap(wait_s: float) -> bool:
-    """Whether nothing is known of the motion over this time between two scans [s], negative or not."""
-    return abs(wait_s) > GAP_S
+def gap_s(waits_s: Array) -> float:
+    """The time between two scans [s], negative or not, beyond which nothing is known of the motion, in a log
+    with these times between scans (n,)."""
+    return max(GAP_S, GAP_PERIODS * float(np.median(np.abs(waits_s)))) if len(waits_s) else GAP_S
 
 
 def without_gap(waits_s: Array) -> NDArray[np.bool_]:
-    """Which times between scans (n,) [s] are known and short enough to know the motion."""
-    return (waits_s > 0.0) & (waits_s < GAP_S)
+    """Which times between the scans of a log (n,) [s] are known and short enough to know the motion."""
+    return (waits_s > 0.0) & (waits_s < gap_s(waits_s))
+
+
+def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Pairs (n, 2) of successive scans that `saw` something, with a long time between them in which none
+    did."""
+    usable = np.flatnonzero(saw)
+    stamps = seconds(stamps_ns[usable])
+    if len(stamps) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    # stamps out of order make false gaps, so the latest before is compared with the earliest after
+    padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
+    waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
+    long = np.flatnonzero(waits > gap_s(np.diff(stamps)))
+    return np.stack([usable[long], usable[long + 1]], axis=1)
 
 
 def way_and_turn(steps: Array) -> Array:
@@ -46,7 +64,11 @@ def sweep_motion(recording: Recording) -> SE2 | None:
     """Base poses (n, KNOTS) during each sweep relative to its start, by odometry; None without a stream or
     where a sweep takes no time. The last one is that at the end of the sweep. Where the odometry jumps, the
     motion of the previous sweep is used."""
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    if recording.others:
+        return _of_each_lidar(
+            recording, [sweep_motion(part) if len(part) else None for _, part in recording.parts()]
+        )
+    sweep_s = recording.lidar.sweep_s
     if recording.odometry is None or len(recording.odometry) < 2 or sweep_s == 0.0:
         return None
     after_ns = nanoseconds(np.arange(KNOTS + 1) / KNOTS * sweep_s)
@@ -54,7 +76,7 @@ def sweep_motion(recording: Recording) -> SE2 | None:
     T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
     # a jump may end within a sweep and move its end only a little, so each part is checked
     moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
-    part_s = np.full(len(moved), abs(sweep_s) / KNOTS)
+    part_s = np.full(len(moved), sweep_s / KNOTS)
     too_far = moved > fastest(moved, part_s) * part_s[:, None]
     jumps = too_far.reshape(len(T_odom_knots), -1).any(axis=1)
     motion = T_odom_knots[:, :1].inverse() @ T_odom_knots[:, 1:]
@@ -67,7 +89,11 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     A scan that is not corrected yet has the pose of the middle of its sweep, so the speed during the sweep is
     the mean of those before and after.
     """
-    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    if recording.others:
+        parts = [(part, T_track_base[rows]) for rows, part in recording.parts()]
+        by_track = [sweep_motion_by_track(*part) if len(part[0]) else None for part in parts]
+        return _of_each_lidar(recording, by_track) or no_motion(len(recording))
+    sweep_s = recording.lidar.sweep_s
     waits = seconds(np.diff(recording.stamps_ns))
     steps = T_track_base.steps()
     known = without_gap(waits)
@@ -80,8 +106,29 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
 def known_motion(recording: Recording, motion: SE2 | None = None) -> SE2:
     """`motion` (n, KNOTS), or that by odometry if it is None; zero where it is unknown, or where the lidar
     takes all beams at once."""
-    if recording.lidar.time_increment != 0.0:
+    if sweeps(recording):
         motion = sweep_motion(recording) if motion is None else motion
         if motion is not None:
             return motion
-    return SE2(np.zeros((len(recording), KNOTS, 3)))
+    return no_motion(len(recording))
+
+
+def sweeps(recording: Recording) -> bool:
+    """Whether the beams of some scans are taken one after another."""
+    return any(lidar.spec.time_increment != 0.0 for lidar in recording.lidars)
+
+
+def no_motion(n: int) -> SE2:
+    """The motion (n, KNOTS) of a base that stands still, or whose motion is unknown."""
+    return SE2(np.zeros((n, KNOTS, 3)))
+
+
+def _of_each_lidar(recording: Recording, parts: list[SE2 | None]) -> SE2 | None:
+    """The motion during all sweeps, from that during the sweeps of each lidar."""
+    if all(motion is None for motion in parts):
+        return None
+    xyt = no_motion(len(recording)).xyt
+    for (rows, _), motion in zip(recording.parts(), parts, strict=True):
+        if motion is not None:
+            xyt[rows] = motion.xyt
+    return SE2(xyt)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from turtlebag.datasets.types import Recording
 
 
 def load_recording(
-    path: Path, *, T_base_lidar: SE2 | None = None, upside_down: bool = False, topic: str | None = None
+    path: Path, *, T_base_lidar: SE2 | None = None, upside_down: bool = False, topic: str | Sequence[str] = ()
 ) -> Recording:
     """Read any input: a record's folder, a rosbag2 folder, .mcap, .db3, .bag or a CARMEN log (.gz, .bz2 too).
 
@@ -35,7 +36,7 @@ def load_recording(
     return replace(recording, lidar=recording.lidar.turned_over(), notes=(*recording.notes, note))
 
 
-def _read(path: Path, T_base_lidar: SE2 | None, topic: str | None) -> Recording:
+def _read(path: Path, T_base_lidar: SE2 | None, topic: str | Sequence[str]) -> Recording:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if path.is_dir() or is_bag(path):

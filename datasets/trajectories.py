@@ -57,6 +57,22 @@ def write_tum(trajectory: Trajectory, file: TextIO) -> None:
         file.write(f"{stamp_text(stamp)} {x:.9f} {y:.9f} 0 0 0 {qz:.12f} {qw:.12f}\n")
 
 
+COVARIANCES = "poses_with_covariance.csv"
+"""Name of the file that lies beside a trajectory.tum."""
+
+
+def save_covariances(trajectory: Trajectory, covariance: Array, folder: Path) -> None:
+    """Write COVARIANCES: each pose with its covariance (n, 3, 3) in the frame that it is given in."""
+    lines = ["stamp,x,y,yaw,xx,xy,xyaw,yy,yyaw,yawyaw"]
+    upper = covariance[:, *np.triu_indices(3)].tolist()
+    for stamp, pose, moments in zip(
+        trajectory.stamps_ns.tolist(), trajectory.poses.xyt.tolist(), upper, strict=True
+    ):
+        numbers = ",".join([*(f"{value:.9f}" for value in pose), *(f"{value:.9e}" for value in moments)])
+        lines.append(f"{stamp_text(stamp)},{numbers}")
+    (folder / COVARIANCES).write_text("\n".join(lines) + "\n")
+
+
 def save_tum_3d(stamps_ns: Stamps, T: Array, path: Path) -> None:
     """Write one line per pose in space, (n, 4, 4), in order."""
     with path.open("w") as file:

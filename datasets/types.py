@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.findings import Finding
 from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.sensor_times import SensorTimes
 
 Stamps = NDArray[np.int64]
 
@@ -32,9 +33,10 @@ class LidarSpec:
     """Geometry of a planar lidar, as sensor_msgs/LaserScan states it.
 
     Beam i points at `angle_min + i * angle_increment` in the lidar frame and is taken
-    `i * time_increment` seconds after the scan's stamp (0: all at once). A range is a return when
-    `range_min <= r < range_max`; range_max and more, as +inf, is "no return", -inf "nearer than
-    range_min", NaN invalid (REP-117).
+    `(i - first_beam) mod n_beams` times `time_increment` seconds after the scan's stamp (0: all at once; with
+    a negative increment the beams are taken in the opposite order, and the stamp is still that of the first).
+    A range is a return when `range_min <= r < range_max`; range_max and more, as +inf, is "no return", -inf
+    "nearer than range_min", NaN invalid (REP-117).
     """
 
     n_beams: int
@@ -44,12 +46,31 @@ class LidarSpec:
     range_max: float
     time_increment: float = 0.0
     scan_time: float = 0.0
+    first_beam: int = 0
 
     def __post_init__(self) -> None:
         if self.n_beams < 1:
             raise ValueError(f"a lidar needs at least one beam, got {self.n_beams}")
         if not 0.0 <= self.range_min < self.range_max:
             raise ValueError(f"lidar ranges {self.range_min}..{self.range_max} m are not an interval")
+        if not 0 <= self.first_beam < self.n_beams:
+            raise ValueError(f"of {self.n_beams} beams, beam {self.first_beam} cannot be the first")
+
+    @cached_property
+    def order(self) -> NDArray[np.int64]:
+        """How many beams are taken before each one, (n_beams,)."""
+        place = (np.arange(self.n_beams) - self.first_beam) % self.n_beams
+        return place if self.time_increment >= 0.0 else self.n_beams - 1 - place
+
+    @cached_property
+    def shares(self) -> Array:
+        """When in the sweep each beam is taken, 0 for the first and 1 for the last, (n_beams,)."""
+        return np.linspace(0.0, 1.0, self.n_beams)[self.order]
+
+    @property
+    def sweep_s(self) -> float:
+        """Time from the first beam to the last [s]."""
+        return abs(self.time_increment) * (self.n_beams - 1)
 
     @cached_property
     def angles(self) -> Array:
@@ -76,11 +97,13 @@ class LidarSpec:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scan:
-    """One sweep. `stamp_ns` is the time of the first beam; `ranges` is (n_beams,) float32 [m]."""
+    """One sweep. `stamp_ns` is the time of the first beam; `ranges` is (n_beams,) float32 [m]; `sensor` says
+    which of the robot's lidars took it."""
 
     stamp_ns: int
     ranges: NDArray[np.float32]
     lidar: LidarSpec
+    sensor: int = 0
 
     def valid(self) -> NDArray[np.bool_]:
         """Which beams measured a surface, (n_beams,)."""
@@ -90,6 +113,19 @@ class Scan:
         """Measured points, (n_valid, 2) in the lidar frame, not deskewed."""
         ok = self.valid()
         return self.lidar.directions[ok] * self.ranges[ok, None].astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class MountedLidar:
+    """A lidar, its pose on the robot, and the topic of its scans, if they are from a bag."""
+
+    spec: LidarSpec
+    T_base_lidar: SE2
+    topic: str = ""
+
+    def same(self, other: MountedLidar) -> bool:
+        """Whether the other one has the same beams at the same place."""
+        return self.spec == other.spec and np.allclose(self.T_base_lidar.xyt, other.T_base_lidar.xyt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,13 +242,15 @@ class ImuLog:
 class Recording:
     """A whole planar lidar log in memory, the input of mapping and localisation.
 
-    `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117.
+    `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117; NaN where a
+    scan has fewer beams than that of another lidar. `lidar` and `T_base_lidar` are the only lidar, or the
+    first; `others` are further ones, and `sensor` (n_scans,) says which of the `lidars` took each scan.
     `T_odom_base` is the odometry pose at each scan's stamp, (n_scans,), or None if the log has none;
     `odometry` is the full-rate stream if there is one (None for CARMEN logs, whose odometry comes with
     each scan). `notes` has one line for everything that was skipped or repaired while reading, and
     `findings` what of it is wrong with a bag.
     `odometry_late_s` is a delay of the odometry that was corrected; `turned_over` means that the lidar was
-    flipped because of the odometry alone.
+    flipped because of the odometry alone; `times` are the sensors' times as estimated.
     """
 
     source: str
@@ -227,9 +265,44 @@ class Recording:
     findings: tuple[Finding, ...] = field(default=())
     odometry_late_s: float = 0.0
     turned_over: bool = False
+    times: SensorTimes = field(default_factory=SensorTimes)
+    topic: str = ""
+    others: tuple[MountedLidar, ...] = field(default=())
+    sensor: NDArray[np.uint8] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    @property
+    def lidars(self) -> tuple[MountedLidar, ...]:
+        """All lidars."""
+        return (MountedLidar(self.lidar, self.T_base_lidar, self.topic), *self.others)
+
+    @property
+    def lidar_of(self) -> NDArray[np.uint8]:
+        """Which of the lidars took each scan, (n_scans,)."""
+        return np.zeros(len(self), dtype=np.uint8) if self.sensor is None else self.sensor
+
+    def parts(self) -> list[tuple[NDArray[np.int64], Recording]]:
+        """The scans of each lidar alone: their numbers (k,), and a recording of them."""
+        if not self.others:
+            return [(np.arange(len(self)), self)]
+        T, found = self.T_odom_base, []
+        for number, lidar in enumerate(self.lidars):
+            rows = np.flatnonzero(self.lidar_of == number)
+            part = replace(
+                self,
+                stamps_ns=self.stamps_ns[rows],
+                ranges=self.ranges[rows, : lidar.spec.n_beams],
+                lidar=lidar.spec,
+                T_base_lidar=lidar.T_base_lidar,
+                topic=lidar.topic,
+                T_odom_base=None if T is None else T[rows],
+                others=(),
+                sensor=None,
+            )
+            found.append((rows, part))
+        return found
 
     @cached_property
     def stride(self) -> int:
@@ -247,7 +320,9 @@ class Recording:
 
     def scan(self, index: int) -> Scan:
         """One sweep of the log."""
-        return Scan(int(self.stamps_ns[index]), self.ranges[index], self.lidar)
+        number = int(self.lidar_of[index])
+        lidar = self.lidars[number].spec
+        return Scan(int(self.stamps_ns[index]), self.ranges[index, : lidar.n_beams], lidar, number)
 
     def duration(self) -> float:
         """Span of the scan stamps [s]."""

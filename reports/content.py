@@ -18,6 +18,9 @@ from turtlebag.reports.stages import Group, Stage
 from turtlebag.reports.system_comparison import SystemComparison
 from turtlebag.reports.verdicts import GOOD
 
+SENSOR_UNITS = {"m": "mm", "rad": "deg", "rad/m": "deg/m", "rad/s": "deg/s", "s": "s"}
+"""The unit that a number of the sensor set-up is shown in."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -34,6 +37,8 @@ class Part:
     planners: list[Mapping[str, Any]]
     findings: list[Mapping[str, Any]]
     """What is wrong with the recording that the stage read."""
+    sensors: list[list[str]]
+    """The estimated set-up: name, value, 95 % interval, and what the recording says."""
 
     @property
     def believed(self) -> bool:
@@ -107,9 +112,23 @@ def build_chapter(
                 goal_rows(metrics),
                 metrics.get("planners") or [],
                 stage.metrics.get("findings") or [],
+                sensor_rows(metrics),
             )
         )
     return chapter
+
+
+def sensor_rows(metrics: Mapping[str, Any]) -> list[list[str]]:
+    """The table of the sensor set-up, a row a number."""
+    rows = []
+    for name, of in (metrics.get("sensors") or {}).items():
+        unit = SENSOR_UNITS.get(of["unit"], "plain")
+        value, low, high, said = (
+            shown(number, unit) for number in (of["value"], *of["interval_95"], of.get("declared"))
+        )
+        estimate = [value, f"{low} to {high}"] if of["observable"] else ["not observable", DASH]
+        rows.append([name.replace("_", " "), *estimate, said])
+    return rows
 
 
 def _drawn(stage: Stage, group: Group, album: Album) -> list[Picture]:

@@ -31,6 +31,7 @@ UNITS = {
     "cm/m": Unit(100.0, "cm/m", 2, "m/m"),
     "deg": Unit(180.0 / math.pi, "°", 2, "rad"),
     "deg/m": Unit(180.0 / math.pi, "°/m", 2, "rad/m"),
+    "deg/s": Unit(180.0 / math.pi, "°/s", 2, "rad/s"),
     "deg1": Unit(1.0, "°", 3, "deg"),
     "s": Unit(1.0, "s", 1, "s"),
     "percent": Unit(100.0, "%", 1, "1"),
@@ -138,7 +139,7 @@ def other_values(stage: Stage, metrics: Mapping[str, Any]) -> list[tuple[str, st
     return [
         (path, DASH if value is None else f"{value:.6g}" if isinstance(value, float) else str(value))
         for path, value in leaves(metrics)
-        if path not in named and not path.startswith(("goals.", "planners.", "findings."))
+        if path not in named and not path.startswith(("goals.", "planners.", "findings.", "sensors."))
     ]
 
 

@@ -83,8 +83,9 @@ def map_verdict(metrics: Metrics, odometry_m: float | None) -> Verdict:
     if relations is not None:
         return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm4')}."
     sentence = f"{scans} scans; no ground truth was given, so the error is unknown"
-    check = lookup(metrics, "self_check.verdict")
-    return NEUTRAL, sentence + (f"; self-check: {check}." if check else ".")
+    check, size = lookup(metrics, "self_check.verdict"), lookup(metrics, "self_check.scale.said")
+    said = size if size and check == "good" else check
+    return NEUTRAL, sentence + (f"; self-check: {said}." if said else ".")
 
 
 def plan_verdict(metrics: Metrics, odometry_m: float | None) -> Verdict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 import numpy as np
@@ -106,14 +107,16 @@ class Faults:
                 return left, right
         return 0.0, 0.0
 
-    def scan(self, step: int, scan: Scan | None, T_world_base: SE2) -> tuple[Scan | None, SE2]:
-        """The scan that arrives in this step, if any, with the true pose at its stamp."""
-        if scan is not None and not self._lost(scan):
-            self._scans.append((step + self._scan_steps, scan, T_world_base))
+    def scan(self, step: int, taken: Iterable[tuple[Scan, SE2]]) -> tuple[Scan, SE2] | None:
+        """The scan that arrives in this step, if any, with the true pose at its stamp; `taken` are those that
+        ended in it. One arrives at a time: that of another lidar comes with the next step."""
+        for scan, T_world_base in taken:
+            if not self._lost(scan):
+                self._scans.append((step + self._scan_steps, scan, T_world_base))
         if self._scans and self._scans[0][0] <= step:
             _, arrived, pose = self._scans.popleft()
             return arrived, pose
-        return None, T_world_base
+        return None
 
     def imu(self, samples: tuple[Imu, ...]) -> tuple[Imu, ...]:
         """The samples that are not swallowed."""

@@ -14,6 +14,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.sim.lidar_errors import LidarUnit, incidence
 from turtlebag.sim.raycast import beam_rays, cast
+from turtlebag.sim.robots import Lidar as RobotLidar
 from turtlebag.sim.robots import LidarErrors, RobotSpec
 from turtlebag.sim.shapes import Sections, Solid, sections
 
@@ -43,6 +44,14 @@ class LidarConfig(Settings):
     reflectivity: bool = True
     """Whether dark or transparent solids absorb beams."""
 
+    def errors_of(self, main: RobotLidar, lidar: RobotLidar) -> LidarErrors | None:
+        """The errors of one of a robot's lidars: its own, but for those set otherwise than the main one's."""
+        if self.errors is None or lidar is main:
+            return self.errors
+        usual = main.errors.model_dump()
+        told = {name: value for name, value in self.errors.model_dump().items() if value != usual[name]}
+        return LidarErrors.model_validate(lidar.errors.model_dump() | told)
+
     @model_validator(mode="after")
     def _errors_are_used(self) -> LidarConfig:
         if self.errors is not None and self.noise not in ("sensor", None):
@@ -61,9 +70,10 @@ class Lidar:
         self.surround(solids)
         self._unit = LidarUnit(config.errors or LidarErrors(), rng) if config.noise == "sensor" else None
         self._T_base_lidar = robot.T_base_lidar.xyt
-        n = self.spec.n_beams
         self._movers: list[Sections] = []
-        self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
+        self._sweep: Array = np.asarray(
+            self.spec.order * (abs(self.spec.time_increment) / self.spec.scan_time), float
+        )
 
     def surround(self, solids: Sequence[Solid]) -> None:
         """Set the solids around the lidar from now on."""

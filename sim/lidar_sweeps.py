@@ -38,11 +38,14 @@ Lidar = TypeVar("Lidar", bound=Head)
 
 class Sweep(Generic[Lidar]):
     """A lidar and its current turn. Collects the poses of the control steps and measures whenever a turn is
-    complete. The first turn begins at step `first`, each further one where the last one ended. A lidar that
-    is not `turning` takes all its beams at once, at a fixed interval of steps."""
+    complete. The first turn begins `later` steps after step `first`, each further one where the last one
+    ended. A lidar that is not `turning` takes all its beams at once, at a fixed interval of steps."""
 
-    def __init__(self, lidar: Lidar, steps: int, first: int = 0, *, turning: bool = True) -> None:
+    def __init__(
+        self, lidar: Lidar, steps: int, first: int = 0, *, turning: bool = True, later: int = 0
+    ) -> None:
         self.lidar, self._steps, self._turning = lidar, steps, turning
+        self._later, first = later, first + later
         self._poses: list[Array] = []
         self._first = first
         self._carried = False
@@ -50,15 +53,17 @@ class Sweep(Generic[Lidar]):
 
     def steps_before(self, step: int) -> int:
         """How many whole control steps of the turn under way were over at this one."""
-        return step - self._first if self._turning else 0
+        return max(step - self._first, 0) if self._turning else 0
 
     def add(self, step: int, pose: Array) -> Turn | None:
         """The base pose (3,) in the world at a control step; the turn that is complete by then, if one is."""
         if not self._turning:
-            if step % self._steps:
+            if step < self._first or (step - self._later) % self._steps:
                 return None
             measured = self.lidar.measure(pose[None], 0.0, 0.0)
             return Turn(stamp_of(step), measured, pose)
+        if step < self._first:
+            return None
         self._poses.append(pose)
         if step < self._end:
             return None

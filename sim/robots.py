@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Finite, NonNegative, Positive, Settings
-from turtlebag.datasets.types import LidarSpec, RobotModel
+from turtlebag.datasets.types import LidarSpec, MountedLidar, RobotModel
 from turtlebag.datasets.yaml_files import find_named, known_names, load_model
 
 FOLDER = Path(__file__).parent / "robots"
@@ -22,6 +22,7 @@ PERIOD_S = 1.0 / CONTROL_HZ
 """From a control step to the next."""
 
 Vector = tuple[Finite, Finite, Finite]
+LidarName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]
 
 
 class Limits(Settings):
@@ -168,6 +169,8 @@ class RobotSpec(Settings):
     parts: list[Part] = Field(min_length=1, max_length=100)
     wheels: Wheels
     lidar: Lidar
+    more_lidars: dict[LidarName, Lidar] = Field(default={}, max_length=7)
+    """By the end of their topic: the scans of `rear` are on /scan_rear, in the frame base_scan_rear."""
     imu: ImuMount
     lidar3d: Lidar3dMount | None = None
 
@@ -175,6 +178,18 @@ class RobotSpec(Settings):
     def T_base_lidar(self) -> SE2:
         """Lidar in base_footprint."""
         return SE2.from_xyt(*self.lidar.pose)
+
+    @property
+    def lidars(self) -> dict[str, Lidar]:
+        """All planar lidars by the end of their topic, the main one, of /scan, first."""
+        return {"": self.lidar, **{f"_{name}": lidar for name, lidar in self.more_lidars.items()}}
+
+    def mounted(self, turning: bool = True, rate_hz: float | None = None) -> tuple[MountedLidar, ...]:
+        """The planar lidars, where they sit and their topics; as in `Lidar.spec`."""
+        return tuple(
+            MountedLidar(lidar.spec(turning, rate_hz), SE2.from_xyt(*lidar.pose), f"/scan{name}")
+            for name, lidar in self.lidars.items()
+        )
 
     @property
     def lidar_height(self) -> float:
@@ -199,7 +214,8 @@ def load_robot(name_or_path: str) -> RobotSpec:
     """A built-in robot by name or a YAML file by path; InputError for unknown names lists the known."""
     path = find_named(name_or_path, FOLDER, "robot")
     spec = load_model(RobotSpec, path)
-    check_rate(spec.lidar.rate_hz, str(path))
+    for lidar in spec.lidars.values():
+        check_rate(lidar.rate_hz, str(path))
     if spec.lidar3d is not None:
         check_rate(spec.lidar3d.rate_hz, str(path))
     return spec
@@ -226,12 +242,14 @@ def robot_names() -> list[str]:
 
 def static_transforms(robot: RobotSpec) -> list[tuple[str, str, tuple[float, float, float], float]]:
     """(parent, child, xyz, yaw) of the robot's fixed frames, for /tf_static."""
-    x, y, yaw = robot.lidar.pose
     axle = robot.axle_height
     ix, iy, iz = robot.imu.position
     links = [
         ("base_footprint", "base_link", (0.0, 0.0, axle), 0.0),
-        ("base_link", "base_scan", (x, y, robot.lidar.height - axle), yaw),
+        *(
+            ("base_link", f"base_scan{name}", (*lidar.pose[:2], lidar.height - axle), lidar.pose[2])
+            for name, lidar in robot.lidars.items()
+        ),
         ("base_link", "imu_link", (ix, iy, iz - axle), 0.0),
     ]
     if robot.lidar3d is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -84,15 +84,21 @@ class Truth:
 
 
 class _Sensors:
-    """What the robot carries: an IMU, a lidar that turns and, on some, a 3D lidar."""
+    """What the robot carries: an IMU, lidars that turn and, on some, a 3D lidar."""
 
     def __init__(self, world: World, robot: RobotSpec, config: SimConfig, seed: int, step: int) -> None:
         """The first turns begin at control step `step`."""
         self.imu = ImuSensor(robot, config.imu, stream(seed, "imu"))
         lidar, mount, turning = config.lidar, robot.lidar3d, config.lidar.turning
-        head = Lidar(world.shapes, robot, lidar, stream(seed, "lidar"))
-        steps_per_scan = round(CONTROL_HZ / (lidar.rate_hz or robot.lidar.rate_hz))
-        self.planar = Sweep(head, steps_per_scan, step, turning=turning)
+        self.planar = []
+        for number, (name, one) in enumerate(robot.lidars.items()):
+            carrier, errors = robot.model_copy(update={"lidar": one}), lidar.errors_of(robot.lidar, one)
+            own = lidar.model_copy(update={"errors": errors})
+            head = Lidar(world.shapes, carrier, own, stream(seed, f"lidar{name}"))
+            steps = round(CONTROL_HZ / (lidar.rate_hz or one.rate_hz))
+            # nothing makes lidars turn together
+            later = number * steps // len(robot.lidars)
+            self.planar.append(Sweep(head, steps, step, turning=turning, later=later))
         self.spatial: Sweep[Lidar3d] | None = None
         if mount is not None:
             sigma = 0.0 if lidar.noise == "none" else GAZEBO_SIGMA if lidar.sigma is None else lidar.sigma
@@ -102,22 +108,33 @@ class _Sensors:
 
     def surround(self, solids: list[Solid]) -> None:
         """These solids stand there from now on."""
-        self.planar.lidar.surround(solids)
+        for sweep in self.planar:
+            sweep.lidar.surround(solids)
         if self.spatial is not None:
             self.spatial.lidar.surround(solids)
 
     def note_movers(self, around: Surroundings, step: int) -> None:
         """Where the movers stand at a control step."""
-        self.planar.lidar.note_movers(around.visible_movers, self.planar.steps_before(step))
+        for sweep in self.planar:
+            sweep.lidar.note_movers(around.visible_movers, sweep.steps_before(step))
         if self.spatial is not None:
             positions = [one.position.copy() for one in around.movers]
             self.spatial.lidar.note_movers(positions, self.spatial.steps_before(step))
 
     def put_down(self, T_world_base: SE2) -> None:
         """The robot was carried here: of the sweeps under way there is no scan."""
-        self.planar.put_down(T_world_base.xyt)
+        for sweep in self.planar:
+            sweep.put_down(T_world_base.xyt)
         if self.spatial is not None:
             self.spatial.put_down(T_world_base.xyt)
+
+    def scans(self, step: int, pose: Array) -> Iterator[tuple[Scan, SE2]]:
+        """The scans whose turns end in this step, and the true poses at their stamps."""
+        for number, sweep in enumerate(self.planar):
+            done = sweep.add(step, pose)
+            if done is not None:
+                scan = Scan(done.stamp_ns, done.measured, sweep.lidar.spec, number)
+                yield scan, SE2(done.pose_at_stamp)
 
     def cloud(self, step: int, pose: Array) -> tuple[int, Cloud] | None:
         """Stamp and cloud of the 3D lidar, if there is one, when its sweep ends."""
@@ -145,7 +162,8 @@ class Simulator:
     ) -> None:
         self.world, self.robot, self.seed = world, robot, seed
         self.config = (config or SimConfig()).resolved(robot)
-        check_rate(self.config.lidar.rate_hz or robot.lidar.rate_hz, "sim")
+        for lidar in robot.lidars.values():
+            check_rate(self.config.lidar.rate_hz or lidar.rate_hz, "sim")
         moving = [mover.solid for mover in world.movers]
         self._physics = Physics(world.shapes, moving, robot, self.config.physics)
         self._step = -1
@@ -245,11 +263,8 @@ class Simulator:
 
     def _sweep_on(self, pose: Array) -> Scan | None:
         """The scan that is delivered in this step, usually the one whose turn ended in it."""
-        sweep = self._sensors.planar
-        scan, first, done = None, pose, sweep.add(self._step, pose)
-        if done is not None:
-            scan, first = Scan(done.stamp_ns, done.measured, sweep.lidar.spec), done.pose_at_stamp
-        delivered, truth = self._faults.scan(self._step, scan, SE2(first))
-        if delivered is not None:
-            self.scan_truth = truth
-        return delivered
+        delivered = self._faults.scan(self._step, self._sensors.scans(self._step, pose))
+        if delivered is None:
+            return None
+        scan, self.scan_truth = delivered
+        return scan

@@ -12,7 +12,7 @@ import numpy as np
 
 from turtlebag.datasets.bags.contents import Contents
 from turtlebag.datasets.bags.frames import FrameTree
-from turtlebag.datasets.bags.mapping_input import clouds_in, no_scans, recording_of
+from turtlebag.datasets.bags.mapping_input import clouds_in, lidars_of, no_scans, recording_of
 from turtlebag.datasets.bags.odometry import of_link, of_topic
 from turtlebag.datasets.bags.plausibility import CLOCK_NS, stands_still
 from turtlebag.datasets.bags.source import open_bag
@@ -57,6 +57,9 @@ def _mapped(contents: Contents) -> Iterator[Finding]:
         except Unusable as error:
             findings.append(error.finding)
         yield from findings
+    choice: list[Finding] = []
+    lidars_of(contents, choice)
+    yield from (one for one in choice if one.kind in ("several lidars", "scans left out"))
 
 
 def _times(contents: Contents) -> Times:

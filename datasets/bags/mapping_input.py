@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from turtlebag.datasets.bags.contents import Contents
 from turtlebag.datasets.bags.decode import RawScan
 from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.lidars import LidarTopic, in_one, lidars_among
 from turtlebag.datasets.bags.odometry import OdometrySource, find_odometry, odometry_at, sensor_pose
 from turtlebag.datasets.bags.plausibility import ARM_M, stands_still
 from turtlebag.datasets.bags.scans import assemble
@@ -21,6 +24,8 @@ from turtlebag.datasets.plurals import listed
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Recording, Stamps
 
+_TILTED = "the laser is tilted"
+_UNPLACED = ("no static transforms", "frames do not connect", "millimetres")
 _LASER = "--laser X,Y,YAW[,upside-down] sets its pose"
 
 
@@ -32,14 +37,61 @@ class NoScans(InputError):
         self.clouds = clouds
 
 
-def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | None = None) -> Recording:
+def read_for_mapping(
+    bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | Sequence[str] = ()
+) -> Recording:
     """Recording of a bag; InputError (NoScans) when it has no scan to map with.
 
-    `topic` chooses among its LaserScan topics; without it /scan, or the only one.
+    `topic` chooses among its LaserScan topics, one or several; without it those of all lidars that have a
+    transform, or else /scan, or the only one. `T_base_lidar` is the pose of the only one.
     """
     contents = Contents(bag)
-    topic = _scan_topic(contents, topic)
-    return recording_of(contents, topic, T_base_lidar, findings=bag.findings)
+    wanted = (topic,) if isinstance(topic, str) else topic
+    chosen = [_wanted_topic(contents, name) for name in dict.fromkeys(wanted)]
+    if T_base_lidar is None and len(chosen) > 1:
+        lidars = [_read_topic(contents, name, None, bag.findings) for name in chosen]
+        return in_one(lidars, bag.findings)
+    if T_base_lidar is None and not chosen:
+        lidars = lidars_of(contents, bag.findings)
+        if len(lidars) > 1:
+            return in_one(lidars, bag.findings)
+        chosen = [lidar.name for lidar in lidars]
+    if len(chosen) > 1:
+        raise InputError(f"--laser: is the pose of one lidar; choose it with one --topic of {listed(chosen)}")
+    name = chosen[0] if chosen else _scan_topic(contents)
+    return recording_of(contents, name, T_base_lidar, findings=bag.findings)
+
+
+def lidars_of(contents: Contents, findings: list[Finding]) -> list[LidarTopic]:
+    """The scan topics of several lidars that have transforms, or the one of them whose points all others
+    are; none where that is not clear."""
+    preferred, names = _preferred(contents), list(contents.scans)
+    read: dict[str, tuple[LidarTopic, list[Finding]]] = {}
+    left_out: list[Finding] = []
+    for name in dict.fromkeys([*preferred, *names]) if len(names) > 1 else ():
+        own: list[Finding] = []
+        try:
+            one = _read_topic(contents, name, None, own)
+            unclear = next((f for f in own if f.kind in _UNPLACED or f.detail.startswith(_TILTED)), None)
+        except Unusable as error:
+            unclear = error.finding
+        if unclear is None:
+            read[name] = one, own
+        elif [name] == preferred:
+            return []
+        else:
+            left_out.append(replace(unclear, kind="scans left out", remedy="left out"))
+    frames = [read[name][0].frame for name in preferred if name in read]
+    kept = lidars_among([one for one, _ in read.values()], left_out)
+    one_of_many = len(preferred) > 1 and len(kept) < 2 and len(kept) == len(read)
+    if one_of_many or len(set(frames)) < len(frames):
+        return []
+    findings += left_out
+    if len(kept) > 1:
+        what = f"scans of {len(kept)} lidars: {listed([one.name for one in kept])}"
+        findings.append(Finding("several lidars", "", what, len(kept), remedy="all are used"))
+        findings += [finding for one in kept for finding in read[one.name][1]]
+    return kept
 
 
 def recording_of(
@@ -49,6 +101,13 @@ def recording_of(
 
     What is found is appended to `findings`, which are the recording's then.
     """
+    return _read_topic(contents, topic, T_base_lidar, findings).scans
+
+
+def _read_topic(
+    contents: Contents, topic: str, T_base_lidar: SE2 | None, findings: list[Finding]
+) -> LidarTopic:
+    """As `recording_of`, with what tells one lidar's scans from another's."""
     path = contents.bag.path
     scans, log_times = _of_one_laser(topic, contents.scans[topic], findings)
     try:
@@ -69,7 +128,7 @@ def recording_of(
     T_odom_base = odometry_at(odometry, topic, stamps, log_times, findings)
     imu = contents.read_imu(findings)
     findings += contents.findings()
-    return Recording(
+    recording = Recording(
         source=str(path),
         stamps_ns=stamps,
         ranges=ranges,
@@ -78,9 +137,11 @@ def recording_of(
         T_odom_base=T_odom_base,
         odometry=odometry.poses,
         imu=imu,
+        topic=topic,
         notes=lines_of(findings),
         findings=tuple(findings),
     )
+    return LidarTopic(recording, log_times, scans[0].frame)
 
 
 def _of_one_laser(
@@ -114,7 +175,7 @@ def _mounted(
     up = float(T[2, 2])
     if abs(up) < 0.98:
         degrees = np.degrees(np.arccos(np.clip(abs(up), 0, 1)))
-        findings.append(Finding("mounting", topic, f"the laser is tilted by {degrees:.0f} degrees"))
+        findings.append(Finding("mounting", topic, f"{_TILTED} by {degrees:.0f} degrees"))
     if up < 0.0:
         what = "the laser is mounted upside down"
         findings.append(Finding("mounting", topic, what, remedy="its scans were flipped"))
@@ -138,13 +199,13 @@ def require_near(contents: Contents, topic: str, base: str, sensor: str, T_base_
         raise Unusable(contents.bag.path, finding)
 
 
-def _scan_topic(contents: Contents, wanted: str | None) -> str:
-    path, names = contents.bag.path, list(contents.scans)
-    if wanted is not None:
-        return _wanted_topic(contents, wanted)
-    preferred = (
-        [name for name in names if name == "/scan"] or [n for n in names if n.endswith("/scan")] or names
-    )
+def _preferred(contents: Contents) -> list[str]:
+    names = list(contents.scans)
+    return [name for name in names if name == "/scan"] or [n for n in names if n.endswith("/scan")] or names
+
+
+def _scan_topic(contents: Contents) -> str:
+    path, names, preferred = contents.bag.path, list(contents.scans), _preferred(contents)
     if len(preferred) == 1:
         return preferred[0]
     if names:

@@ -26,6 +26,10 @@ _OVERSAMPLING = 4
 _LONGEST_SWEEP_S = 60.0
 _SLOWER = 1.2
 """Times between scans that a sweep may seem to take."""
+_FASTEST_HZ = 80.0
+"""No lidar's head turns faster (SICK LMS 2xx: 75 Hz)."""
+_ALL_ROUND = 0.95
+"""Share of a turn over which the beams of a lidar that surely turns are spread."""
 _ALIGNED = 0.05
 """Share of an increment that beams may lie beside the grid's without mattering."""
 _WORTH_SAYING = 0.01
@@ -134,20 +138,39 @@ def _lidar(topic: str, key: Geometry, scans: Sequence[RawScan], findings: list[F
         remedy = f"{range_min:g}..{range_max:g} m used"
         findings.append(Finding("range limits", topic, what, len(scans), remedy=remedy))
     times = [_median(scan.geometry[index] for scan in scans) for index in (3, 4)]
-    sweep_s, period_s = abs(times[0]) * key.n, _period_s(scans)
+    turn = key.n * abs(step) / (2.0 * math.pi)
+    times[0] = _increment(topic, times, turn, scans, findings)
+    return LidarSpec(key.n, key.angle_min, step, range_min, range_max, times[0], times[1])
+
+
+def _increment(
+    topic: str, times: list[float], turn: float, scans: Sequence[RawScan], findings: list[Finding]
+) -> float:
+    """The time between beams [s] as far as it can be believed, where drivers state it and the time of a scan
+    as `times`, of beams over a `turn` of the head."""
+    sweep_s, period_s = abs(times[0]) * len(scans[0].ranges), _period_s(scans)
+    every = f", a scan comes every {period_s:.3f} s" if math.isfinite(period_s) else ""
+    what, increment = f"time_increment implies a sweep of {sweep_s:.3f} s{every}", times[0]
     if sweep_s > min(_LONGEST_SWEEP_S, _SLOWER * period_s):
-        every = f", a scan comes every {period_s:.3f} s" if math.isfinite(period_s) else ""
-        what = f"time_increment implies a sweep of {sweep_s:.3f} s{every}"
-        remedy = "taken as 0" if sweep_s > _LONGEST_SWEEP_S else ""
-        findings.append(Finding("sweep time", topic, what, len(scans), remedy=remedy))
-        times[0] = 0.0 if sweep_s > _LONGEST_SWEEP_S else times[0]
-    return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
+        increment, remedy = 0.0, "taken as 0"
+    elif turn > _ALL_ROUND and 0.0 < sweep_s * _FASTEST_HZ < turn:
+        what, remedy = f"{what}, and no lidar turns that fast", "taken as 0"
+        increment = 0.0
+    elif turn > _ALL_ROUND and times == [0.0, 0.0]:
+        what = "time_increment and scan_time are 0: how long a sweep takes is unknown"
+        remedy = "taken as 0"
+    else:
+        return increment
+    findings.append(Finding("sweep time", topic, what, len(scans), remedy=remedy))
+    return increment
 
 
 def _period_s(scans: Sequence[RawScan]) -> float:
-    """The usual time from scan to scan [s]; infinite where stamps do not tell it."""
-    steps = np.diff(np.array([scan.stamp_ns for scan in scans], dtype=np.int64))
-    period = float(np.median(steps)) * 1e-9 if len(steps) else 0.0
+    """The usual time from scan to scan [s], or the mean if it is longer: stamps may come in bursts; infinite
+    where they do not tell it."""
+    stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
+    steps = np.diff(stamps) * 1e-9
+    period = max(float(np.median(steps)), float(np.mean(steps))) if len(steps) else 0.0
     return period if period > 0.0 else math.inf
 
 

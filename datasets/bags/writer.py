@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVarTuple
 
@@ -29,9 +29,13 @@ class BagWriter(BagFolder):
     loses less than two. metadata.yaml and the file's index are written by `close` only.
     """
 
-    def __init__(self, folder: Path, *, custom: Mapping[str, str]) -> None:
+    lidars: Sequence[str] = ("",)
+    """The ends of the lidars' topics and frames, by their number."""
+
+    def __init__(self, folder: Path, *, custom: Mapping[str, str], lidars: Iterable[str] = ("",)) -> None:
         super().__init__(folder, custom=custom)
         self._channels: dict[str, int] = {}
+        self.lidars = tuple(lidars)
 
     def static_transforms(
         self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
@@ -96,8 +100,10 @@ class BagWriter(BagFolder):
         self._write("/goal_pose", stamp_ns, cdr.pose_stamped, "map", stamp_ns, T_map_goal)
 
     def scan(self, log_time_ns: int, scan: Scan) -> None:
-        """/scan; its header has the stamp of the first beam, the log time is when it was complete."""
-        self._write("/scan", log_time_ns, cdr.laser_scan, "base_scan", scan)
+        """/scan, or that of another lidar; its header has the stamp of the first beam, the log time is when
+        it was complete."""
+        name = self.lidars[scan.sensor]
+        self._write(f"/scan{name}", log_time_ns, cdr.laser_scan, f"base_scan{name}", scan)
 
     def cloud(self, log_time_ns: int, stamp_ns: int, cloud: Cloud, frame: str) -> None:
         """/points: a 3D scan in the given lidar frame, its stamp that of the first point."""
@@ -113,7 +119,7 @@ class BagWriter(BagFolder):
         """A message that `make` serialises."""
         channel = self._channels.get(topic)
         if channel is None:
-            kind = TOPICS[topic]
+            kind = TOPICS["/scan" if topic.startswith("/scan") else topic]
             text, type_hash = definition(kind.msgtype)
             qos = metadata_text(kind.qos())
             channel = self.add_topic(topic, kind.msgtype, text, qos=qos, type_hash=type_hash)

@@ -189,7 +189,7 @@ def _run(task: Callable[[Any, Any], Task], on_a_map: bool) -> Array:
     """Its commands (n, 2); AssertionError where it touches something."""
     world, robot = room(), load_robot("burger")
     config = NavigateConfig(sim=SimConfig().resolved(robot))
-    kit = Kit(robot, config, 1, Sensing(robot.T_base_lidar), NoBag())
+    kit = Kit(robot, config, 1, Sensing.of(robot), NoBag())
     grid = world.rasterize(robot.lidar_height) if on_a_map else None
     costmap = None if grid is None else costmap_from_grid(grid, config.costmap)
     request = Request("a check", 1, initial_pose="start" if on_a_map else None)

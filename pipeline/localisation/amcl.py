@@ -5,15 +5,15 @@ Fox 2003 (KLD-sampling), Thrun, Burgard, Fox: Probabilistic Robotics, chapters 4
 
 from __future__ import annotations
 
-import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.datasets.types import LidarSpec, Scan
+from turtlebag.datasets.types import LidarSpec, MountedLidar, Scan
 from turtlebag.pipeline.localisation import motion_model
 from turtlebag.pipeline.localisation.deskewed_beams import Beams, prepare
 from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
@@ -47,7 +47,9 @@ class Amcl:
         T_base_lidar: SE2,
         config: AmclConfig,
         rng: np.random.Generator,
+        others: Sequence[MountedLidar] = (),
     ) -> None:
+        """`others` are further lidars, whose scans have the `sensor` 1 and on."""
         self.config = config
         self.search = global_search(grid, lidar, config)
         """How well the map explains a scan from any pose."""
@@ -58,8 +60,8 @@ class Amcl:
         self.watch = AgreementWatch(config)
         self.cloud = Cloud.even(np.zeros((0, 3)))
         """The particles, in the map frame."""
-        limits = config.range_limits(lidar)
-        self._prepare = functools.partial(prepare, T_base_lidar=T_base_lidar, range_limits=limits)
+        self._lidars = MountedLidar(lidar, T_base_lidar), *others
+        self._due: set[int] = set()
         self._sensor = LikelihoodField(config, self.search.field, self.search.range_max)
         self._fine = FinePose(grid) if config.refine else None
         self._rng = rng
@@ -73,7 +75,7 @@ class Amcl:
     @property
     def converged(self) -> bool:
         """Whether the whole cloud is one narrow cluster."""
-        return self._at.estimate is not None and narrow(self.covariance)
+        return self._at.estimate is not None and narrow(self._at.estimate.covariance)
 
     @property
     def T_map_odom(self) -> SE2:
@@ -88,10 +90,18 @@ class Amcl:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the whole cloud about the estimate at the last update, (3, 3): x, y, yaw."""
+        """Covariance of the estimate at the last update, (3, 3): x, y, yaw.
+
+        It is that of the whole cloud until that has converged, and as much more as at the start while scans
+        disagree with the map.
+        """
         if self._at.estimate is None:
             raise ValueError("the filter has no pose yet: initialise it and update it with a scan")
-        return self._at.estimate.covariance
+        fine = None if self._fine is None or not self.converged else self._fine.covariance
+        found = self._at.estimate.covariance if fine is None else fine
+        c = self.config
+        start = np.diag([c.initial_cov_xx, c.initial_cov_yy, c.initial_cov_aa])
+        return found if self.agrees else found + start
 
     @property
     def particles(self) -> SE2:
@@ -142,7 +152,8 @@ class Amcl:
         self._restart(poses, AgreementWatch(self.config, anywhere=True))
 
     def update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None = None) -> bool:
-        """Update with a scan; True if the filter used it, False if the robot has hardly moved.
+        """Update with a scan; True if the filter used it, False if the robot has hardly moved since it used
+        one of that lidar.
 
         `T_odom_base` is the odometry at the scan's stamp, `T_odom_base_end` at the end of the sweep (stamp +
         n_beams * time_increment), used for deskewing. ValueError if the filter is not initialised or the
@@ -151,11 +162,14 @@ class Amcl:
         self._check(T_odom_base)
         last = self._at.T_odom_base
         T_last_base = None if last is None else last.inverse() @ T_odom_base
-        if not self._moved_enough(T_last_base):
+        if self._moved_enough(T_last_base):
+            self._due = set(range(len(self._lidars)))
+        if scan.sensor not in self._due:
             return False
+        self._due.discard(scan.sensor)
         T_base_odom = T_odom_base.inverse()
         sweep = None if T_odom_base_end is None else T_base_odom @ T_odom_base_end
-        beams = self._prepare(scan, T_start_end=sweep)
+        beams = self._prepare(scan, sweep)
         if T_last_base is not None:
             self._predict(T_last_base)
         self._at.T_odom_base, self.beams = T_odom_base, beams
@@ -170,8 +184,12 @@ class Amcl:
         usual."""
         if self._at.T_map_odom is None:
             return False
-        beams = self._prepare(scan, T_start_end=T_odom_base.inverse() @ T_odom_base_end)
+        beams = self._prepare(scan, T_odom_base.inverse() @ T_odom_base_end)
         return self.watch.contradicted_by(self.search.agreement(self.T_map_base(T_odom_base).xyt, beams))
+
+    def _prepare(self, scan: Scan, T_start_end: SE2 | None) -> Beams:
+        lidar = self._lidars[scan.sensor]
+        return prepare(scan, lidar.T_base_lidar, T_start_end, self.config.range_limits(lidar.spec))
 
     def _restart(self, poses: Array, watch: AgreementWatch) -> None:
         self.cloud, self._at, self.watch = Cloud.even(poses), _Located(), watch

@@ -37,7 +37,7 @@ def prepare(
 ) -> Beams:
     """Beams of a scan; `T_start_end` is the base's motion over the whole sweep, if known.
 
-    With it, and a turning lidar, beam i starts from the base's pose i * time_increment after the stamp. NaN
+    With it, and a turning lidar, each beam starts from the base's pose at its own time. NaN
     and -inf are dropped, range_max and more counts as "no return".
     """
     ranges = scan.ranges.astype(np.float64)
@@ -47,7 +47,7 @@ def prepare(
     still = scan.lidar.time_increment == 0.0
     motion = np.zeros((1, 3)) if T_start_end is None or still else T_start_end.xyt[None]
     beams = scan.lidar.directions
-    origins, directions = deskewed(beams, np.arange(len(beams)) / len(beams), T_base_lidar.xyt, motion)
+    origins, directions = deskewed(beams, scan.lidar.order / len(beams), T_base_lidar.xyt, motion)
     points = origins[hit] + directions[hit] * ranges[hit, None]
     return Beams(points, origins[hit], directions[silent], origins[silent])
 

@@ -26,6 +26,10 @@ from turtlebag.pipeline.localisation.wall_filter import WallFilter
 # 0.92 with the usual noise.
 FIRST_SHARE, LEAST_SHARE = 0.3, 0.05
 SHARE_RATE, USUAL_NIS = 0.05, 0.5
+# The covariance of the pose is so many times that of the filter, and all walls together stand off by a share
+# of a cell and a turn [rad] (standard deviations): with them its 95 % ellipses hold as many of the poses
+# (benchmarks/coverage.py).
+SPREAD, ALL_CELLS, ALL_TURN = 4.0, 0.2, 0.003
 
 
 class FinePose:
@@ -33,9 +37,13 @@ class FinePose:
 
     def __init__(self, grid: OccupancyGrid) -> None:
         self._surfaces = fit_surfaces(grid)
+        off = ALL_CELLS * grid.resolution
+        self._map = np.diag(np.square([off, off, ALL_TURN]))
         self._filter: WallFilter | None = None
         self.share = FIRST_SHARE
         """Share of the alphas' standard deviation that odometry is believed to have."""
+        self.covariance: Array | None = None
+        """Covariance (3, 3) of the last corrected pose on the map; None where that was the cloud's."""
 
     def forget(self) -> None:
         """Stop tracking until the cloud is narrow again."""
@@ -49,16 +57,18 @@ class FinePose:
     def correct(self, cloud: Estimate, points_base: Array) -> SE2:
         """Pose after a scan's end points (n, 2) in the base frame; the mean of the cloud if it is too
         wide."""
-        if self._filter is not None:
-            self.share = next_share(self.share, self._filter.correct(points_base))
-            if agree(self._filter.T_map_base, cloud):
-                return self._filter.T_map_base
-        self._filter = self._started(cloud)
-        if self._filter is None:
+        tracked = self._filter
+        if tracked is not None:
+            self.share = next_share(self.share, tracked.correct(points_base))
+        if tracked is None or not agree(tracked.T_map_base, cloud):
+            tracked = self._filter = self._started(cloud)
+            if tracked is not None:
+                tracked.correct(points_base)
+        if tracked is None or not agree(tracked.T_map_base, cloud):
+            self.covariance = None
             return cloud.T_map_base
-        self._filter.correct(points_base)
-        T_map_base = self._filter.T_map_base
-        return T_map_base if agree(T_map_base, cloud) else cloud.T_map_base
+        self.covariance = SPREAD * tracked.covariance + self._map if len(points_base) else None
+        return tracked.T_map_base
 
     def _started(self, cloud: Estimate) -> WallFilter | None:
         return WallFilter(self._surfaces, cloud.T_map_base, cloud.core) if narrow(cloud.core) else None

@@ -70,6 +70,12 @@ class WallFilter:
         """The pose."""
         return self._surfaces.T_map_surfaces @ SE2.from_array(self.state[:3])
 
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the pose on the map, (3, 3)."""
+        turn = _turn(float(self._surfaces.T_map_surfaces.yaw))
+        return np.asarray(turn @ self.P[:POSE, :POSE] @ turn.T)
+
     def predict(self, T_base_new: SE2, motion: tuple[float, float, float], std: Array) -> None:
         """Move by odometry: the motion, its parts (rot1, trans, rot2) and their standard deviations (3,)."""
         move(self.state, self.P, T_base_new.xyt, motion[0], motion[1], std)

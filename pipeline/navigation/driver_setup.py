@@ -163,14 +163,14 @@ def make_driver(
 ) -> Task:
     """The driver of a mission, at the first observation."""
     request, config, robot = mission.request, mission.config, mission.robot
-    kit = Kit(robot, config, request.seed, Sensing(robot.T_base_lidar), publisher)
+    kit = Kit(robot, config, request.seed, Sensing.of(robot), publisher)
     if is_own(request.task):
         task: Task = find(request.task, Task)(kit, mission)
         return task
     if request.task == "avoid":
         return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say)
     if request.task == "explore":
-        online = OnlineMap(robot.T_base_lidar, config.explore.slam)
+        online = OnlineMap(robot.T_base_lidar, config.explore.slam, kit.lidars())
         return make_explorer(kit, online, request.duration_s or DEFAULT_EXPLORE_S)
     sequence, T_odom_base = GoalSequence(mission.waypoints, config.sequence), first.odometry.T_odom_base
     if mission.grid is None or mission.costmap is None:

@@ -12,6 +12,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.parts import find
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import MountedLidar
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.localisers import make_localiser
@@ -55,6 +56,11 @@ class Kit:
     sensing: Sensing
     publisher: BagWriter
 
+    def lidars(self) -> tuple[MountedLidar, ...]:
+        """The robot's planar lidars as they are simulated."""
+        lidar = self.config.sim.lidar
+        return self.robot.mounted(lidar.turning, lidar.rate_hz)
+
     def tools(self, obstacles: ObstacleLayer, config: NavigateConfig | None = None) -> Tools:
         """Controller and monitor, on the obstacle layer; `config` in place of the kit's own."""
         config, model = config or self.config, self.robot.model
@@ -76,12 +82,12 @@ def make_navigator(
 ) -> NavigationDriver:
     """A driver on a map, whose localiser is not yet initialised."""
     config, robot = kit.config, kit.robot
-    lidar = robot.lidar.spec(config.sim.lidar.turning)
-    parts = grid, lidar, robot.T_base_lidar, config.amcl
-    amcl = make_localiser(config.localiser, *parts, stream(kit.seed, "amcl"))
+    lidar, *others = kit.lidars()
+    parts = grid, lidar.spec, lidar.T_base_lidar, config.amcl
+    amcl = make_localiser(config.localiser, *parts, stream(kit.seed, "amcl"), others)
     localiser = OnlineLocaliser(amcl, kit.sensing.odometry, kit.publisher)
     tools = kit.tools(ObstacleLayer(costmap))
-    search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
+    search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar.spec, config.amcl)
     memory = ObstacleMemory(robot.model)
     # The stream's name is part of the seed: another name would be other random numbers.
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))

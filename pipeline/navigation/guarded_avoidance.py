@@ -65,7 +65,7 @@ class GuardedAvoidance:
 
     def points_base(self, sweep: DeskewedScan, T_odom_base: SE2) -> Array:
         """Everything to keep off, seen from the base: the sweep and the remembered places."""
-        points = np.concatenate([sweep.hits_odom, self._memory.bumps(sweep.stamp_ns)])
+        points = np.concatenate([sweep.around_odom, self._memory.bumps(sweep.stamp_ns)])
         return T_odom_base.inverse() @ points
 
     def decide(self, sweep: DeskewedScan, T_odom_base: SE2, last: Twist) -> Decision:
@@ -83,7 +83,7 @@ class GuardedAvoidance:
         s = sweep.sectors
         barred = s.front < STOP_M or self._gap(points) < NOSE_ROOM_M
         if self._progress.stuck(sweep.stamp_ns, T_odom_base):
-            angle = most_room(T_odom_base.inverse() @ sweep.hits_odom)
+            angle = most_room(T_odom_base.inverse() @ sweep.around_odom)
             way = self._way_out(points) if barred else 0.0
             self._reflex.escape = Escape(sweep.stamp_ns, T_odom_base, way, angle)
             return Decision("turn away", Twist(0.0, 0.0))

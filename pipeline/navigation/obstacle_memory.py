@@ -46,18 +46,23 @@ class ObstacleMemory:
 
     def __init__(self, model: RobotModel) -> None:
         self.moving_odom = np.zeros((0, 2))
-        """Points of the newest sweep that are moving, (n, 2)."""
+        """Points of the newest sweep of each lidar that are moving, (n, 2)."""
+        self._moving: dict[int, Array] = {}
         self._footprint, self._zone = model.footprint, padded(model.footprint, STOP_M)
         self._sweeps: deque[DeskewedScan] = deque(maxlen=16)
-        self._reference: tuple[SE2, Array] | None = None  # T_odom_base, and hits from there (n, 2)
+        # the lidar, T_odom_base, and hits from there (n, 2)
+        self._reference: tuple[int, SE2, Array] | None = None
         self._bumps: list[tuple[int, Array]] = []
 
     def observe(self, sweep: DeskewedScan) -> None:
         """Find what moves in a new sweep, by one a little older."""
-        older = [s for s in self._sweeps if sweep.stamp_ns - s.stamp_ns >= BEFORE_NS]
-        self.moving_odom = np.zeros((0, 2))
+        older = [
+            s for s in self._sweeps if s.sensor == sweep.sensor and sweep.stamp_ns - s.stamp_ns >= BEFORE_NS
+        ]
+        self._moving[sweep.sensor] = np.zeros((0, 2))
         if older and sweep.stamp_ns - older[-1].stamp_ns < 2 * BEFORE_NS:
-            self.moving_odom = moved_points(sweep, older[-1])
+            self._moving[sweep.sensor] = moved_points(sweep, older[-1])
+        self.moving_odom = np.concatenate([*self._moving.values()])
         self._sweeps.append(sweep)
 
     def stops(self, T_odom_base: SE2) -> bool:
@@ -69,7 +74,7 @@ class ObstacleMemory:
 
         That is remembered, before its leading edge.
         """
-        if not self._slipping(T_odom_base, T_odom_base.inverse() @ sweep.hits_odom):
+        if not self._slipping(sweep.sensor, T_odom_base, T_odom_base.inverse() @ sweep.hits_odom):
             return False
         xs, ys = self._footprint.T
         edge = xs.min() - BEYOND_M if v < 0.0 else xs.max() + BEYOND_M
@@ -96,16 +101,19 @@ class ObstacleMemory:
         lethal[cells[inside, 1], cells[inside, 0]] = True
         return costmap.with_lethal(lethal) if inside.any() else costmap
 
-    def _slipping(self, T_odom_base: SE2, points: Array) -> bool:
-        """Whether hits (n, 2) from the base fit the reference better without the odometry's motion."""
-        if self._reference is None or min(len(points), len(self._reference[1])) < LEAST_POINTS:
-            self._reference = T_odom_base, points
+    def _slipping(self, sensor: int, T_odom_base: SE2, points: Array) -> bool:
+        """Whether a lidar's hits (n, 2) from the base fit its reference better without the odometry's
+        motion."""
+        if self._reference is None or min(len(points), len(self._reference[2])) < LEAST_POINTS:
+            self._reference = sensor, T_odom_base, points
             return False
-        before, earlier = self._reference
+        of, before, earlier = self._reference
+        if sensor != of:
+            return False
         x, y, yaw = (before.inverse() @ T_odom_base).xyt.tolist()
         travelled = math.hypot(x, y) >= TRAVEL_M
         if travelled or abs(yaw) > TURN_RAD:
-            self._reference = T_odom_base, points
+            self._reference = sensor, T_odom_base, points
         if not travelled:
             return False
         tree = scipy.spatial.cKDTree(earlier)

@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Imu, Observation, Recording, Scan, Trajectory
+from turtlebag.datasets.types import Imu, MountedLidar, Observation, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.slam.online.mapper import Mapper
 
@@ -19,12 +19,13 @@ HERE_M = 0.15
 class OnlineMap:
     """Maps the observations; `update` makes the current map. The map frame is the odometry's at the start."""
 
-    def __init__(self, T_base_lidar: SE2, config: SlamConfig) -> None:
+    def __init__(self, T_base_lidar: SE2, config: SlamConfig, lidars: Sequence[MountedLidar] = ()) -> None:
+        """`T_base_lidar` is the only lidar's pose; `lidars` are all of a robot with several."""
         self.T_map_odom = SE2.identity()
         self.grid: OccupancyGrid | None = None
         self.mapper: Mapper | None = None
         """None before the first scan."""
-        self._T_base_lidar, self._config = T_base_lidar, config
+        self._T_base_lidar, self._config, self._lidars = T_base_lidar, config, tuple(lidars)
         self._stamps: list[int] = []
         self._odometry: list[SE2] = []
         self._imu: list[Imu] = []
@@ -42,7 +43,9 @@ class OnlineMap:
 
     def add(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu] = ()) -> None:
         """Place a scan; see `Mapper.add`."""
-        self.mapper = self.mapper or Mapper(scan.lidar, self._T_base_lidar, self._config)
+        if self.mapper is None:
+            first, *others = self._lidars or (MountedLidar(scan.lidar, self._T_base_lidar),)
+            self.mapper = Mapper(first.spec, first.T_base_lidar, self._config, others=others)
         self.mapper.add(scan, odometry, imu)
         self.T_map_odom = self.mapper.T_map_odom
 

@@ -69,7 +69,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
     """Write `explain.json` (worst edges, contradicting places, hypotheses, calibration), and the map by the
     front end alone, `before.pgm`, to compare with `map.pgm`."""
     session = result.session
-    usable = config.usable(session.recording.lidar)
+    usable = config.usable(*session.recording.lidars)
     before = make_grid(session.recording, session.track.T_track_base, config.grid, usable, session.motion)
     save_map(before, folder, "before")
     write_json(
@@ -81,7 +81,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
                 "winners": hypothesis_shares(result.track),
                 "mean_overlap": float(result.track.overlap.mean()),
                 "odometry_calibration": vars(result.track.calibration),
-                "range_calibration": vars(result.session.ranges),
+                "range_calibration": result.session.ranges.numbers(),
             },
             "moved_by_graph_m": moved(result.T_map_keys.xy - result.track.T_track_base.xy[result.keys]),
         },

@@ -10,7 +10,7 @@ twice.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,10 +26,12 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.datasets.types import LidarSpec, MountedLidar, Recording
 
 MAX_COUNTED = 400_000_000
 """Cells for counting beams; most are cut off when the map is trimmed to its known part."""
+# Cells of a band of the grid.
+BAND_CELLS = 2_000_000
 # Cells with fewer beams than this are not used for the quality of a map.
 MIN_MET = 3
 # Returns of a distant wall scatter over this many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
@@ -65,6 +67,15 @@ class OccupancyConfig(Settings):
     )
 
 
+class CheckedGrid(NamedTuple):
+    """A grid, how certain its cells are as a whole, and the `confidence` of each (rows, cols): the
+    probability that it is as it is drawn, 0 where it is unknown."""
+
+    grid: OccupancyGrid
+    certainty: Certainty
+    confidence: Array
+
+
 class Counts(NamedTuple):
     """For each cell (rows, cols), the number of beams that it returned, and of those that passed through
     it."""
@@ -95,7 +106,7 @@ def make_grid(
     motion: SE2 | None = None,
 ) -> OccupancyGrid:
     """Grid of all scans at poses (n,); cell borders lie on multiples of the resolution."""
-    return make_checked_grid(recording, T_map_base, config, usable_range, motion)[0]
+    return make_checked_grid(recording, T_map_base, config, usable_range, motion).grid
 
 
 def make_checked_grid(
@@ -104,43 +115,87 @@ def make_checked_grid(
     config: OccupancyConfig,
     usable_range: float,
     motion: SE2 | None = None,
-) -> tuple[OccupancyGrid, Certainty]:
+) -> CheckedGrid:
     """As `make_grid`, with the quality of the counts behind it."""
-    lidar, resolution = recording.lidar, config.resolution_m
-    usable = min(lidar.range_max, usable_range)
-    ranges, no_return = np.asarray(recording.ranges), min(usable, config.no_return_m)
-    length, returned = beam_lengths(ranges, lidar, usable, no_return, recording.stride)
-    T_map_lidar = T_map_base @ recording.T_base_lidar
-    seen = length.max(axis=1)[:, None]
-    low = (T_map_lidar.xy - seen).min(axis=0) - config.margin_m
-    high = (T_map_lidar.xy + seen).max(axis=0) + config.margin_m
-    corner = np.floor(low / resolution)
-    extent = np.ceil(high / resolution) - corner
+    resolution, views = config.resolution_m, _views(recording, T_map_base, config, usable_range)
+    seen = [view.length.max(axis=1)[:, None] for view in views]
+    ends = zip(views, seen, strict=True)
+    spans = [((v.T_map_lidar.xy - s).min(axis=0), (v.T_map_lidar.xy + s).max(axis=0)) for v, s in ends]
+    low, high = np.min([low for low, _ in spans], axis=0), np.max([high for _, high in spans], axis=0)
+    corner = np.floor((low - config.margin_m) / resolution)
+    extent = np.ceil((high + config.margin_m) / resolution) - corner
     _require_cells(extent[::-1].tolist(), MAX_COUNTED, resolution)
     cols, rows = extent.astype(int)
     knots = known_motion(recording, motion).xyt
     if rows * cols > MAX_CELLS and not knots.any():
         # much of the counted area may be trimmed, so only an area that is too large for certain is refused
-        known = _known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution)
-        _require_cells(known, MAX_CELLS, resolution)
+        _require_cells(_known(views, resolution), MAX_CELLS, resolution)
     counts, T_grid_base = Counts.none(rows, cols), T_map_base.xyt - np.array([*(corner * resolution), 0.0])
-    seen_from = (lidar.directions, recording.T_base_lidar.xyt, knots)
-    cast_beams(counts, resolution, (length, returned), seen_from, T_grid_base, config.occupied_share)
-    return trimmed(classify(counts, config), corner, config), certainty(counts, config.min_hits)
+    for with_return in (True, False):
+        for view in views:
+            spec, beams = view.lidar.spec, (view.length, view.returned == with_return)
+            seen_from = (spec.directions, spec.shares, view.lidar.T_base_lidar.xyt, knots[view.scans])
+            how = with_return, config.occupied_share
+            cast_beams(counts, resolution, beams, seen_from, T_grid_base[view.scans], how)
+    grid = trimmed(classify(counts, config), corner, config)
+    col, row = np.rint(grid.T_map_grid.xy / resolution - corner).astype(int)
+    kept = (slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1]))
+    confidence = cell_confidence(grid.cells, counts.hits[kept], counts.misses[kept], config.occupied_share)
+    return CheckedGrid(grid, certainty(counts, config.min_hits), confidence)
+
+
+def cell_confidence(
+    cells: NDArray[np.int8], hits: NDArray[np.uint16], misses: NDArray[np.uint16], occupied_share: float
+) -> Array:
+    """The probability that each cell (rows, cols) is as it is drawn: that of many more beams it would return
+    `occupied_share`, or fewer where it is free (Beta distribution, Jeffreys' prior)."""
+    free = scipy.special.betainc(hits + 0.5, misses + 0.5, occupied_share)
+    return np.asarray(np.where(cells == OCCUPIED, 1.0 - free, np.where(cells == FREE, free, 0.0)))
+
+
+class View(NamedTuple):
+    """The scans (k,) of one lidar among all, its poses (k,), and its beams, as of `beam_lengths`."""
+
+    scans: NDArray[np.int64]
+    lidar: MountedLidar
+    T_map_lidar: SE2
+    length: NDArray[np.float32]
+    returned: NDArray[np.bool_]
+
+
+def _views(recording: Recording, T_map_base: SE2, config: OccupancyConfig, usable_range: float) -> list[View]:
+    views = []
+    for (scans, part), lidar in zip(recording.parts(), recording.lidars, strict=True):
+        usable = min(part.lidar.range_max, usable_range)
+        no_return = min(usable, config.no_return_m)
+        beams = beam_lengths(np.asarray(part.ranges), part.lidar, usable, no_return, part.stride)
+        if len(scans):
+            views.append(View(scans, lidar, T_map_base[scans] @ part.T_base_lidar, *beams))
+    return views
 
 
 def certainty(counts: Counts, min_hits: int) -> Certainty:
     """How well the beams agree on the cells: a wall that is drawn twice is seen through, and so uncertain."""
-    hits, misses = counts
-    met = hits.astype(np.int32) + misses
-    known = met >= MIN_MET
-    if not known.any():
+    sums = np.zeros(4)
+    for hits, misses in bands(counts):
+        met = hits.astype(np.int32) + misses
+        known = met >= MIN_MET
+        share, walls = hits[known] / met[known], hits[known] >= min_hits
+        entropy = scipy.special.entr(share) + scipy.special.entr(1.0 - share)
+        sums += [entropy.sum(), len(share), share[walls].sum(), np.count_nonzero(walls)]
+    entropy_nats, cells, wall_shares, wall_cells = sums.tolist()
+    if cells == 0:
         return Certainty(math.nan, math.nan)
-    share = hits[known] / met[known]
-    entropy = scipy.special.entr(share) + scipy.special.entr(1.0 - share)
-    walls = hits[known] >= min_hits
-    wall_share = float(share[walls].mean()) if walls.any() else math.nan
-    return Certainty(float(entropy.mean() / math.log(2.0)), wall_share)
+    wall_share = wall_shares / wall_cells if wall_cells else math.nan
+    return Certainty(entropy_nats / cells / math.log(2.0), wall_share)
+
+
+def bands(counts: Counts) -> Iterator[Counts]:
+    """The counts in bands of rows, each small: what is computed of all cells at once takes much memory."""
+    rows, cols = counts.hits.shape
+    height = max(1, BAND_CELLS // max(cols, 1))
+    for row in range(0, rows, height):
+        yield Counts(counts.hits[row : row + height], counts.misses[row : row + height])
 
 
 def beam_lengths(
@@ -163,12 +218,13 @@ def beam_lengths(
 
 def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
     """Occupied, free or unknown: equation (6) of docs/how-it-maps.md, and walls thinned."""
-    hits, misses = counts
-    seen = hits.astype(np.int32) + misses
-    cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)
-    cells[misses > 0] = FREE
-    cells[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
-    return thinned(cells, hits, config.behind_share, config.before_share)
+    cells, row = np.full(counts.hits.shape, UNKNOWN, dtype=np.int8), 0
+    for hits, misses in bands(counts):
+        band, seen = cells[row : row + len(hits)], hits.astype(np.int32) + misses
+        band[misses > 0] = FREE
+        band[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
+        row += len(hits)
+    return thinned(cells, counts.hits, config.behind_share, config.before_share)
 
 
 @njit(cache=True)
@@ -242,16 +298,16 @@ def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> 
     return OccupancyGrid(kept, config.resolution_m, SE2.from_xyt(x, y, 0.0))
 
 
-def _known(
-    T_map_lidar: SE2, lidar: LidarSpec, length: NDArray[np.float32], resolution: float
-) -> tuple[int, int]:
-    """The least rows and columns of the map: beams of these lengths (n, beams) passed all cells but the last,
-    whose return may have overshot."""
-    low, high = T_map_lidar.xy.min(axis=0), T_map_lidar.xy.max(axis=0)
-    for angle, reach in zip(lidar.angles.tolist(), length.T, strict=True):
-        yaw, passed = T_map_lidar.yaw + angle, np.maximum(reach - (BEHIND_CELLS + 1) * resolution, 0.0)
-        ends = T_map_lidar.xy + passed[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-        low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
+def _known(views: Sequence[View], resolution: float) -> tuple[int, int]:
+    """The least rows and columns of the map: beams that returned passed all cells but the last, whose return
+    may have overshot."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for _, lidar, T_map_lidar, length, returned in views:
+        free = np.where(returned, length, 0.0)
+        for angle, reach in zip(lidar.spec.angles.tolist(), free.T, strict=True):
+            yaw, passed = T_map_lidar.yaw + angle, np.maximum(reach - (BEHIND_CELLS + 1) * resolution, 0.0)
+            ends = T_map_lidar.xy + passed[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+            low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
     cols, rows = np.floor((high - low) / resolution).astype(int).tolist()
     return rows, cols
 
@@ -272,32 +328,31 @@ def cast_beams(
     counts: Counts,
     resolution: float,
     beams: tuple[NDArray, NDArray],
-    lidar: tuple[Array, Array, Array],
+    lidar: tuple[Array, Array, Array, Array],
     T_grid_base: Array,
-    share: float,
+    how: tuple[bool, float],
 ) -> None:
-    """Trace the beams that returned, then those that did not: surfaces stop them.
+    """Trace some beams of one lidar: those that returned first, and then those that did not, which surfaces
+    stop.
 
-    `beams` are lengths and whether they returned, as of `beam_lengths`; `lidar` are the unit vectors of the
-    beams, T_base_lidar, and the base's motion during each sweep, as of `known_motion`.
+    `beams` are lengths, as of `beam_lengths`, and which to trace; `lidar` are the unit vectors of the beams,
+    when in the sweep they are taken, T_base_lidar, and the base's motion during each sweep, as of
+    `known_motion`. `how` says whether they returned, and the share of hits of a surface.
     """
-    (length, returned), (directions, T_base_lidar, motion) = beams, lidar
+    (length, chosen), (directions, fractions, T_base_lidar, motion) = beams, lidar
     n_scans, n_beams = length.shape
-    fractions = np.linspace(0.0, 1.0, n_beams)
-    for with_return in (True, False):
-        for scan in range(n_scans):
-            origins, ways = deskewed(directions, fractions, T_base_lidar, motion[scan])
-            c, s = math.cos(T_grid_base[scan, 2]), math.sin(T_grid_base[scan, 2])
-            for beam in range(n_beams):
-                reach = float(length[scan, beam])
-                if reach <= 0.0 or returned[scan, beam] != with_return:
-                    continue
-                x = T_grid_base[scan, 0] + c * origins[beam, 0] - s * origins[beam, 1]
-                y = T_grid_base[scan, 1] + s * origins[beam, 0] + c * origins[beam, 1]
-                dx = c * ways[beam, 0] - s * ways[beam, 1]
-                dy = s * ways[beam, 0] + c * ways[beam, 1]
-                start = (x / resolution, y / resolution)
-                trace(counts, start, (dx, dy), reach / resolution, with_return, share)
+    for scan in range(n_scans):
+        origins, ways = deskewed(directions, fractions, T_base_lidar, motion[scan])
+        c, s = math.cos(T_grid_base[scan, 2]), math.sin(T_grid_base[scan, 2])
+        for beam in range(n_beams):
+            reach = float(length[scan, beam])
+            if reach <= 0.0 or not chosen[scan, beam]:
+                continue
+            x = T_grid_base[scan, 0] + c * origins[beam, 0] - s * origins[beam, 1]
+            y = T_grid_base[scan, 1] + s * origins[beam, 0] + c * origins[beam, 1]
+            dx = c * ways[beam, 0] - s * ways[beam, 1]
+            dy = s * ways[beam, 0] + c * ways[beam, 1]
+            trace(counts, (x / resolution, y / resolution), (dx, dy), reach / resolution, how[0], how[1])
 
 
 @njit(cache=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -12,9 +14,11 @@ from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.motion import sweeps
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
+from turtlebag.pipeline.slam.check.uncertainty import Uncertainty, scan_covariances, shared_errors
 from turtlebag.pipeline.slam.check.verdict import SelfCheck, check_map
 from turtlebag.pipeline.slam.graph.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Loop
@@ -24,21 +28,27 @@ from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.loops.closure import close_graph
+from turtlebag.pipeline.slam.loops.closure import close_graph, look_again
 from turtlebag.pipeline.slam.odometry.breaks import breaks_of
+from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M
+from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.corrected import corrected, with_sensors
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration, range_errors
+from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup, sensor_setup
 from turtlebag.pipeline.slam.sessions import Session, join
 
 # Settings that the front end does not read; a change of any other one starts it anew.
 LATER = {"back_end", "loops", "place_recognition", "refine", "grid"}
+
+# A correction may raise the entropy of the map by less than the first factor, the misfit of its scans by less
+# than the second: both vary by as much without a cause.
+AS_SHARP, NO_WORSE = 1.02, 1.002
 
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
@@ -59,8 +69,8 @@ class SlamConfig(Settings):
         default="lines",
         description="estimates the scans' poses: our line tracker, KISS-ICP, odometry, or your own class",
     )
-    usable_range_m: float = Field(
-        default=USABLE_M, gt=0.0, description="longer returns are neither matched nor mapped"
+    usable_range_m: float | None = Field(
+        default=None, gt=0.0, description="longer returns are neither matched nor mapped; null: all are used"
     )
     deskew: bool = Field(default=True, description="deskew the scans; switch off if the driver already does")
     gyro: bool = Field(default=True, description="use the gyro where the wheels slip while turning")
@@ -74,9 +84,9 @@ class SlamConfig(Settings):
     refine: RefineConfig = RefineConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
-    def usable(self, lidar: LidarSpec) -> float:
-        """The range [m] beyond which returns of this lidar are ignored."""
-        return min(lidar.range_max, self.usable_range_m)
+    def usable(self, *lidars: MountedLidar) -> float:
+        """The range [m] beyond which returns of these lidars are ignored."""
+        return min(max(lidar.spec.range_max for lidar in lidars), self.usable_range_m or math.inf)
 
     def effective(self) -> SlamConfig:
         """The settings that take effect: with odometry alone, it is the front end, and nothing moves a scan
@@ -108,10 +118,13 @@ class SlamConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class SlamResult:
-    """A pose per scan in file order, the grid, and their session."""
+    """A pose per scan in file order, the `covariance` of each (n, 3, 3), the grid, the `confidence` in each
+    of its cells (rows, cols), and their session."""
 
     trajectory: Trajectory
+    covariance: Array
     grid: OccupancyGrid
+    confidence: Array
     check: SelfCheck
     session: Session
 
@@ -178,39 +191,99 @@ def continue_slam(
 def track_recording(recording: Recording, config: SlamConfig, progress: Progress) -> Session:
     """From a recording to a graph without loops: key scans, and the steps between them.
 
-    Its sensors are corrected by each other, then its scans are followed one by one: once more if the lidar
-    turns out to have range errors.
+    Its sensors are corrected by each other, then its scans are followed one by one. Where these show errors
+    of the ranges or of the lidar's pose, they are followed again without, which counts if they fit each other
+    as well, or the map is as sharp. That of a lidar that sweeps in no time cannot tell of its pose.
     """
-    config, make = config.effective(), front_end_maker(config.effective().front_end)
+    config = config.effective()
     log = with_sensors(recording, config.sensors, config.front_end, deskew=config.deskew)
-    usable = config.usable(log.lidar)
-    log = corrected(log, usable, gyro=config.gyro, matched=config.front_end != "wheels")
-    scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
-    ranges = range_errors(scans, track) if config.calibrate_ranges else RangeCalibration()
-    if ranges != RangeCalibration():
-        log = ranges.applied(log)
-        scans, track, evidence = follow(Scans.of(log, usable), config.tracking, make, progress)
+    usable = config.usable(*log.lidars)
+    matched = config.front_end != "wheels"
+    log = corrected(log, usable, gyro=config.gyro, matched=matched, deskew=config.deskew)
+    ranges = RangeCalibration()
+    tracked = _Tracked.of(log, config, progress)
+    if config.calibrate_ranges:
+        errors = range_errors(tracked.scans, tracked.track)
+        if errors != ranges:
+            again = _Tracked.of(errors.applied(tracked.log), config, progress)
+            if again.misfit_m < NO_WORSE * tracked.misfit_m:
+                tracked, ranges = again, errors
+    setup = tracked.setup(recording.lidars)
+    if setup.misplaced and sweeps(log):
+        again = _Tracked.of(setup.applied(tracked.log), config, progress)
+        if again.entropy_bits < AS_SHARP * tracked.entropy_bits:
+            tracked, setup = again, again.setup(recording.lidars)
+    track, evidence = tracked.track, tracked.evidence
     breaks, steps = breaks_of(track, evidence), step_constraints(track, config.tracking, evidence.distrusted)
     graph = Graph(track.T_track_base[track.keys], steps, [], [], breaks.broken)
-    key_scans = scans.of_keys(track.keys)
-    return Session(log, key_scans, scans.motion, track, evidence, breaks, graph, ranges)
+    return Session(
+        tracked.log, tracked.key_scans, tracked.scans.motion, track, evidence, breaks, graph, ranges, setup
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracked:
+    """A log as the front end followed it."""
+
+    log: Recording
+    scans: Scans
+    track: Track
+    evidence: Evidence
+    config: SlamConfig
+
+    @staticmethod
+    def of(log: Recording, config: SlamConfig, progress: Progress) -> _Tracked:
+        """The log, followed."""
+        scans, make = Scans.of(log, config.usable(*log.lidars)), front_end_maker(config.front_end)
+        return _Tracked(log, *follow(scans, config.tracking, make, progress), config)
+
+    @cached_property
+    def key_scans(self) -> KeyScans:
+        """The points of its key scans."""
+        return self.scans.of_keys(self.track.keys)
+
+    @cached_property
+    def entropy_bits(self) -> float:
+        """How blurred its map is before loops are closed; askew, as chance sharpens walls along the cells."""
+        log, scans, poses = self.log, self.scans, SE2.from_xyt(0.0, 0.0, 0.5) @ self.track.T_track_base
+        drawn = make_checked_grid(log, poses, self.config.grid, scans.usable_m, scans.motion)
+        return drawn.certainty.entropy_bits
+
+    @property
+    def misfit_m(self) -> float:
+        """How far the points of a scan lie from the walls of others [m]."""
+        return float(self.track.rmse[self.track.fits].mean()) if self.track.fits.any() else 0.0
+
+    def setup(self, declared: Sequence[MountedLidar]) -> SensorSetup:
+        """The sensor set-up by the key scans of each lidar, which are declared to sit there; empty without
+        odometry, or with nothing else."""
+        if self.log.T_odom_base is None or self.config.front_end == "wheels":
+            return SensorSetup()
+        (clouds, keys), found = self.key_scans, []
+        for number, lidar in enumerate(self.log.lidars):
+            its, there = keys[self.log.lidar_of[keys] == number], declared[number].T_base_lidar
+            log = replace(self.log, T_base_lidar=lidar.T_base_lidar)
+            found.append(sensor_setup(log, KeyScans(clouds, its), self.track.T_track_base[its], there))
+        return found[0].with_others(found[1:])
 
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
     """The session with the loops of its graph closed, by distance and by appearance, and the poses of all
-    overlapping key scans refined together."""
+    overlapping key scans refined together, again as long as that brings further loops within reach."""
     config, keys = config.effective(), session.track.keys
     scans, graph, back_end = session.key_scans, session.graph, make_back_end(config.back_end)
-    by_hand = KeyEdits.of(edits, keys)
-    if config.loops.enabled and len(keys) > 2:
-        loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
-        closing = LoopClosing(loops, by_hand, back_end)
+    by_hand, refined = KeyEdits.of(edits, keys), config.refine.rounds > 0 and len(keys) > 2
+    loops = config.loops if refined else config.loops.model_copy(update={"held_m": 0.0})
+    closing, closed = LoopClosing(loops, by_hand, back_end), loops.enabled and len(keys) > 2
+    if closed:
         graph = close_graph(scans, graph, session.breaks, closing, config.place_recognition, progress)
-    if config.refine.rounds > 0 and len(keys) > 2:
+    more: Graph | None = graph
+    while refined and more is not None:
         poses, constraints = refine(
-            *scans, graph.T_map_keys, graph.constraints, config.refine, by_hand, back_end
+            *scans, more.T_map_keys, more.constraints, config.refine, by_hand, back_end
         )
-        graph = replace(graph, T_map_keys=poses, constraints=constraints)
+        graph = replace(more, T_map_keys=poses, constraints=constraints)
+        more = look_again(scans, graph, closing) if closed else None
     return replace(session, graph=graph)
 
 
@@ -235,6 +308,10 @@ def draw_map(session: Session, config: SlamConfig) -> SlamResult:
     log, track, graph = session.recording, session.track, session.graph
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
     poses = carried_poses(track.T_track_base, track.keys, graph.T_map_keys, torn)
-    grid, certainty = make_checked_grid(log, poses, config.grid, config.usable(log.lidar), session.motion)
-    check = check_map(session, poses, certainty)
-    return SlamResult(Trajectory(log.stamps_ns, poses), grid, check, session)
+    drawn = make_checked_grid(log, poses, config.grid, config.usable(*log.lidars), session.motion)
+    shared = shared_errors(track, graph.constraints, session.evidence.unobserved_m)
+    uncertainty = Uncertainty.of(graph.T_map_keys, graph.constraints, shared)
+    check = check_map(session, poses, drawn.certainty, uncertainty)
+    covariance = scan_covariances(uncertainty, track, poses, log.stamps_ns)
+    trajectory = Trajectory(log.stamps_ns, poses)
+    return SlamResult(trajectory, covariance, drawn.grid, drawn.confidence, check, session)

@@ -21,7 +21,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import require_bounded_zip
 from turtlebag.datasets.motion import KNOTS
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.datasets.sensor_times import SensorTimes
+from turtlebag.datasets.types import LidarSpec, MountedLidar, Recording
 from turtlebag.datasets.yaml_files import checked
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind, Loop
 from turtlebag.pipeline.slam.mapper import LATER, SlamConfig
@@ -32,17 +33,19 @@ from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.range_noise import range_noise
 from turtlebag.pipeline.slam.scans.scans import Scans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
+from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup
 from turtlebag.pipeline.slam.sessions import Session, borders_of
 
 FILE = "graph.npz"
 FORMAT = 11
-# Kind of each array - integers (i), numbers (f), finite numbers (n) or booleans (b) - and its shape: b beams,
-# s scans, w instants of a sweep, k keys, m steps between keys; other dimensions agree where the letter is the
-# same.
+# Kind of each array - integers (i, u), numbers (f), finite numbers (n) or booleans (b) - and its shape: b
+# beams, s scans, w instants of a sweep, k keys, m steps between keys; other dimensions agree where the letter
+# is the same.
 LAYOUT = {
     "stamps_ns": ("i", "s"),
     "ranges": ("f", "sb"),
     "T_base_lidar": ("n", "3"),
+    "sensor": ("u", "s"),
     "noise": ("n", "3"),
     "covariance": ("n", "33"),
     "T_odom_base": ("n", "s3"),
@@ -75,13 +78,14 @@ LAYOUT = {
     "recognised_T_j_i": ("n", "r3"),
     "recognised_information": ("n", "r33"),
 }
-OPTIONAL = ("T_odom_base", "motion", "track_odometry_steps")
+OPTIONAL = ("sensor", "T_odom_base", "motion", "track_odometry_steps")
 INDICES = {
+    "sensor": "lidars",
     "track_keys": "s",
     "breaks_gaps": "s",
     **{f"{record}_{end}": "k" for record in ("constraint", "loop", "recognised") for end in "ij"},
 }
-"""Arrays of scan or key numbers."""
+"""Arrays of scan, key or lidar numbers."""
 POSES = ("T_base_lidar", "T_odom_base", "motion", "T_map_keys", "track_T_track_base")
 RECORDS: dict[str, tuple[str, type]] = {
     "constraint": ("constraints", Constraint),
@@ -109,9 +113,14 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         "format": FORMAT,
         "source": " + ".join(Path(part).name for part in recording.source.split(" + ")),
         "lidar": asdict(recording.lidar),
+        "topic": recording.topic,
+        "others": [_lidar(lidar) for lidar in recording.others],
         "settings": config.model_dump(mode="json"),
         "calibration": {k: v for k, v in vars(track.calibration).items() if np.ndim(v) == 0},
-        "range_calibration": vars(session.ranges),
+        "range_calibration": session.ranges.numbers(),
+        "range_calibration_of_others": [errors.numbers() for errors in session.ranges.others],
+        "sensors": session.setup.as_records(),
+        "times": asdict(recording.times),
     }
     arrays = {"about": _text(about)} | ({} if session.motion is None else {"motion": session.motion.xyt})
     arrays |= _arrays("", recording) | _arrays("", track.calibration) | _arrays("", graph)
@@ -165,19 +174,22 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     if about["format"] != FORMAT:
         has = about["format"]
         raise ValueError(f"format {has}, but this version reads {FORMAT}; map its recording again")
-    lidar: dict[str, Any] = {name: float(value) for name, value in about["lidar"].items()}
-    calibration_of: dict[str, Any] = {name: float(value) for name, value in about["calibration"].items()}
-    ranges = {name: float(value) for name, value in about["range_calibration"].items()}
-    if not np.isfinite([*lidar.values(), *calibration_of.values(), *ranges.values()]).all():
-        raise ValueError("its lidar or its calibration is invalid")
+    others = tuple(_other(one) for one in about.get("others", []))
+    calibration_of: dict[str, Any] = _finite(about["calibration"])
+    errors = map(_finite, [about["range_calibration"], *about.get("range_calibration_of_others", [])])
+    ranges, *more = (RangeCalibration(one["offset_m"], one["square_per_m"]) for one in errors)
     config = checked(SlamConfig, about["settings"], where="its settings")
-    lidar["n_beams"], calibration_of["pairs"] = int(lidar["n_beams"]), int(calibration_of["pairs"])
-    _check(stored, lidar["n_beams"])
-    recording = _record(Recording, "", stored, source=str(about["source"]), lidar=LidarSpec(**lidar))
+    calibration_of["pairs"], lidar = int(calibration_of["pairs"]), _spec(about["lidar"])
+    _check(stored, [lidar.n_beams, *(other.spec.n_beams for other in others)])
+    named = {"source": str(about["source"]), "topic": str(about.get("topic", ""))}
+    times = SensorTimes.of_record(about.get("times", {}))
+    recording = _record(Recording, "", stored, **named, lidar=lidar, others=others, times=times)
+    if others and recording.sensor is None:
+        raise ValueError("which lidar took a scan is missing")
     calibration = _record(Calibration, "", stored, **calibration_of)
     track = _record(Track, "track_", stored, calibration=calibration)
     records = {of: _rows(name, stored, kind) for name, (of, kind) in RECORDS.items()}
-    graph, usable = _record(Graph, "", stored, **records), config.usable(recording.lidar)
+    graph, usable = _record(Graph, "", stored, **records), config.usable(*recording.lidars)
     scans = Scans(recording, usable, range_noise(recording, usable), _value("motion", stored))
     borders = borders_of(graph.constraints, track.keys)
     return Session(
@@ -188,15 +200,42 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
         evidence=evidence_of(recording, track, config.tracking.odometry, borders),
         breaks=_record(TrackBreaks, "breaks_", stored),
         graph=graph,
-        ranges=RangeCalibration(**ranges),
+        ranges=replace(ranges, others=tuple(more)),
+        setup=SensorSetup.of_records(about.get("sensors", [])),
     ), config
 
 
-def _check(stored: dict[str, Any], beams: int) -> None:
+def _lidar(lidar: MountedLidar) -> dict[str, Any]:
+    T = lidar.T_base_lidar.xyt.tolist()
+    return {"lidar": asdict(lidar.spec), "T_base_lidar": T, "topic": lidar.topic}
+
+
+def _other(stored: dict[str, Any]) -> MountedLidar:
+    x, y, yaw = _finite(dict(zip("xyt", stored["T_base_lidar"], strict=True))).values()
+    return MountedLidar(_spec(stored["lidar"]), SE2.from_xyt(x, y, yaw), str(stored["topic"]))
+
+
+def _spec(stored: dict[str, Any]) -> LidarSpec:
+    lidar: dict[str, Any] = _finite(stored)
+    # earlier versions took a negative increment as beams before the stamp
+    if lidar.setdefault("first_beam", -1.0) < 0.0 and lidar["time_increment"] < 0.0:
+        raise ValueError("its sweep runs backwards, as earlier versions read it; map its recording again")
+    lidar["n_beams"], lidar["first_beam"] = int(lidar["n_beams"]), max(int(lidar["first_beam"]), 0)
+    return LidarSpec(**lidar)
+
+
+def _finite(stored: dict[str, Any]) -> dict[str, float]:
+    numbers = {name: float(value) for name, value in stored.items()}
+    if not np.isfinite([*numbers.values()]).all():
+        raise ValueError("its lidar or its calibration is invalid")
+    return numbers
+
+
+def _check(stored: dict[str, Any], beams: Sequence[int]) -> None:
     """ValueError unless every array has its kind and shape and points at existing rows: the compiled code
     that reads them does not check again."""
     keys = len(stored["track_keys"])
-    sizes = {"b": beams, "k": keys, "m": keys - 1, "w": KNOTS, "2": 2, "3": 3}
+    sizes = {"lidars": len(beams), "b": max(beams), "k": keys, "m": keys - 1, "w": KNOTS, "2": 2, "3": 3}
     for name, (kind, shape) in LAYOUT.items():
         if name not in stored and name in OPTIONAL:
             continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,9 @@ from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
 from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.steps import step_constraints
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.scans.clouds import KeyScans
-from turtlebag.pipeline.slam.scans.scans import joined_keys
+from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, KeyScans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
+from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup
 
 BORDER = np.diag([25.0, 25.0, 100.0])
 """Information of the constraint between two sessions: 0.2 m and 0.1 rad."""
@@ -34,7 +34,7 @@ class Session:
 
     Of the scans' points only those of the key scans stay in memory, `key_scans`. `motion` is the base's
     during each sweep, None if a sweep is one instant. The recording's ranges are corrected already; `ranges`
-    is the error of those of the first one.
+    is the error of those of the first one, and `setup` its sensors.
     """
 
     recording: Recording
@@ -45,6 +45,7 @@ class Session:
     breaks: TrackBreaks
     graph: Graph
     ranges: RangeCalibration
+    setup: SensorSetup = field(default_factory=SensorSetup)
 
     @property
     def unconfirmed(self) -> NDArray[np.int64]:
@@ -104,8 +105,8 @@ def joined_recording(recordings: list[Recording]) -> Recording:
     each recording's own: steps across a border mean nothing."""
     first = recordings[0]
     for other in recordings[1:]:
-        same = other.lidar == first.lidar and np.allclose(other.T_base_lidar.xyt, first.T_base_lidar.xyt)
-        if not same:
+        pairs = zip(first.lidars, other.lidars, strict=False)
+        if len(first.lidars) != len(other.lidars) or not all(a.same(b) for a, b in pairs):
             raise InputError(
                 f"{other.source}: its lidar differs from that of {first.source}; map it separately"
             )
@@ -116,10 +117,35 @@ def joined_recording(recordings: list[Recording]) -> Recording:
         source=" + ".join(recording.source for recording in recordings),
         stamps_ns=np.concatenate([recording.stamps_ns for recording in recordings]),
         ranges=np.concatenate([recording.ranges for recording in recordings]),
+        sensor=np.concatenate([r.lidar_of for r in recordings]) if first.others else None,
         T_odom_base=SE2(np.concatenate(odometry)) if with_odometry else None,
         odometry=None,
         notes=tuple(note for recording in recordings for note in recording.notes),
         findings=tuple(finding for recording in recordings for finding in recording.findings),
+    )
+
+
+def joined_keys(a: KeyScans, b: KeyScans) -> KeyScans:
+    """The key scans of two logs, those of the second after those of the first."""
+    keys = np.concatenate([a.keys, b.keys + len(a.clouds.starts) - 1])
+    return KeyScans(joined_clouds([a.clouds, b.clouds]), keys)
+
+
+def joined_clouds(clouds: Sequence[Clouds]) -> Clouds:
+    """Several clouds as one, with their scans numbered consecutively."""
+    rows = np.cumsum([0, *[len(cloud.points) for cloud in clouds]])
+    starts = [cloud.starts[:-1] + row for cloud, row in zip(clouds, rows, strict=False)]
+    tables = [
+        np.where(cloud.table >= 0, cloud.table + np.int32(row), np.int32(-1))
+        for cloud, row in zip(clouds, rows, strict=False)
+    ]
+    return Clouds(
+        **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in PER_POINT},
+        starts=np.concatenate([*starts, rows[-1:]]).astype(np.int64),
+        table=np.concatenate(tables).astype(np.int32),
+        origin=clouds[0].origin,
+        bins=clouds[0].bins,
+        sensor=np.concatenate([cloud.sensor for cloud in clouds]),
     )
 
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.motion import gaps_between
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import SE3
 from turtlebag.pipeline.slam.check.base import Verdict
 from turtlebag.pipeline.slam.check.verdict import APART_KEYS, MOST_WRONG
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.cost import residuals
-from turtlebag.pipeline.slam.odometry.breaks import gaps_between
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
 from turtlebag.pipeline.slam3d.surfels import LEAST_OVERLAP
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,22 +13,25 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.maps import load_map, map_files
+from turtlebag.datasets.motion import sweeps
 from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.trajectories import load_tum, save_tum
-from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.datasets.trajectories import load_tum, save_covariances, save_tum
+from turtlebag.datasets.types import MountedLidar, Recording, Trajectory
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.localisation.localiser import Localiser
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
+from turtlebag.pipeline.slam.sensors.corrected import delay_metrics, in_step
 from turtlebag.pipeline.slam.sensors.mounting import facing
-from turtlebag.pipeline.slam.sensors.turn_comparison import compared_turns, delay_metrics, in_step
+from turtlebag.pipeline.slam.times.timing import compared_times
 from turtlebag.pipeline.stages.requests.options import chosen_settings
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
 from turtlebag.pipeline.stages.sources import Source
@@ -48,11 +52,13 @@ class LocaliseConfig(Settings, allow_inf_nan=False):
 class Localisation:
     """What the filter said while the recording went by.
 
-    `trajectory` has one pose a scan, each as known at that scan (never corrected afterwards);
-    `converged`, `updated` (n,) bool and `particles` (n,) say how the filter stood then.
+    `trajectory` has one pose a scan, each as known at that scan (never corrected afterwards), `covariance`
+    (n, 3, 3) that of each on the map; `converged`, `updated` (n,) bool and `particles` (n,) say how the
+    filter stood then.
     """
 
     trajectory: Trajectory
+    covariance: np.ndarray
     converged: np.ndarray
     updated: np.ndarray
     particles: np.ndarray
@@ -83,9 +89,7 @@ def localise(
     grid = load_map(map_yaml)
     if isinstance(initial_pose, SE2):
         require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), map_yaml)
-    recording = source.load()
-    turns = compared_turns(recording)
-    recording = facing(in_step(recording, turns)) if turns.alike else recording
+    recording = aligned_in_time(source.load())
     truth = None if truth is None else truth_folder(truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)
@@ -105,6 +109,8 @@ def localise(
     with out.staged() as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
+        if result is not None:
+            save_covariances(result.trajectory, result.covariance, folder)
         parts: dict[str, str | None] = {"localiser": config.localiser}
         inputs = {"bag": source.path, **map_files(map_yaml), **source_files(parts)}
         inputs |= {"truth": truth} if truth else {}
@@ -121,6 +127,11 @@ def localise(
     return 0 if metrics.get("true_success", metrics["success"]) else 1
 
 
+def aligned_in_time(recording: Recording) -> Recording:
+    """The recording with scans and odometry of the same time, and each lidar facing as it does."""
+    return of_each_lidar(recording, _compared)
+
+
 def _summarise(metrics: dict[str, Any], out: Path) -> None:
     error, status = metrics["localisation_error_m"], metrics["status"]
     if metrics["success"] and not metrics.get("true_success", True):
@@ -131,6 +142,11 @@ def _summarise(metrics: dict[str, Any], out: Path) -> None:
         f"{status}{reason}: {metrics['scans']} scans in {metrics['log_s']:.1f} s, "
         f"the map explains {metrics['agreement']:.0%} of the latest ones{known} -> {out}"
     )
+
+
+def _compared(recording: Recording) -> Recording:
+    turns = compared_times(recording)
+    return facing(in_step(recording, turns)) if turns.alike else recording
 
 
 def checked_odometry(recording: Recording) -> Trajectory:
@@ -156,18 +172,20 @@ def run_amcl(
     """The filter over all scans in file order."""
     T_odom_base = checked_odometry(recording).poses
     T_odom_base_end = sweep_ends(recording)
-    amcl = started(grid, recording.lidar, recording.T_base_lidar, initial_pose, config, rng)
-    poses, converged, updated, particles, update_s = [], [], [], [], []
+    amcl = started(grid, recording.lidars, initial_pose, config, rng)
+    poses, covariance, converged, updated, particles, update_s = [], [], [], [], [], []
     for i in track(range(len(recording)), "localising"):
         watch = Stopwatch()
         end = None if T_odom_base_end is None else T_odom_base_end[i]
         updated.append(amcl.update(recording.scan(i), T_odom_base[i], end))
         update_s.append(watch.seconds())
         poses.append(amcl.T_map_odom @ T_odom_base[i])
+        covariance.append(amcl.covariance)
         converged.append(amcl.converged)
         particles.append(len(amcl.particles))
     return Localisation(
         Trajectory(recording.stamps_ns, SE2.stack(poses)),
+        np.array(covariance),
         np.array(converged),
         np.array(updated),
         np.array(particles),
@@ -186,15 +204,16 @@ def doubt(amcl: Localiser) -> str | None:
 
 def started(
     grid: OccupancyGrid,
-    lidar: LidarSpec,
-    T_base_lidar: SE2,
+    lidars: Sequence[MountedLidar],
     initial_pose: SE2 | str,
     config: LocaliseConfig,
     rng: np.random.Generator,
 ) -> Localiser:
     """The filter with its first cloud; InputError when the map has nothing to localise on."""
     try:
-        amcl = make_localiser(config.localiser, grid, lidar, T_base_lidar, config.amcl, rng)
+        first, *others = lidars
+        parts = grid, first.spec, first.T_base_lidar, config.amcl, rng
+        amcl = make_localiser(config.localiser, *parts, others)
         if isinstance(initial_pose, SE2):
             amcl.initialise(initial_pose)
         else:
@@ -206,10 +225,11 @@ def started(
 
 def sweep_ends(recording: Recording) -> SE2 | None:
     """Odometry at the end of each sweep, (n_scans,); None for a lidar that does not turn."""
-    lidar, odometry = recording.lidar, recording.odometry
-    if lidar.time_increment == 0.0 or odometry is None or np.any(np.diff(odometry.stamps_ns) <= 0):
+    odometry, lidars = recording.odometry, [lidar.spec for lidar in recording.lidars]
+    if not sweeps(recording) or odometry is None or np.any(np.diff(odometry.stamps_ns) <= 0):
         return None
-    return odometry.at(recording.stamps_ns + round(lidar.n_beams * lidar.time_increment * 1e9))
+    taken_ns = np.array([round(one.n_beams * abs(one.time_increment) * 1e9) for one in lidars])
+    return odometry.at(recording.stamps_ns + taken_ns[recording.lidar_of])
 
 
 def load_localise_config(source: ConfigSource, settings: Chosen) -> LocaliseConfig:

@@ -9,10 +9,10 @@ from pathlib import Path
 from turtlebag.datasets.bags.mapping_input import NoScans
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.ground_truth import known_truth
-from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.maps import save_confidence, save_map
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json
 from turtlebag.datasets.parts import source_files
-from turtlebag.datasets.trajectories import save_tum
+from turtlebag.datasets.trajectories import save_covariances, save_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
@@ -31,7 +31,10 @@ from turtlebag.pipeline.stages.sources import MapInputs
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
 from turtlebag.reports.metrics.references import NO_REFERENCES, References
 
-TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
+TAKEN = (
+    "map", "before", "confidence", "config", "explain", "graph", "manifest", "metrics",
+    "poses_with_covariance", "trajectory",
+)  # fmt: skip
 """Names of our own files in the folder of a map."""
 
 
@@ -82,7 +85,7 @@ def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explai
         if not error.clouds:
             raise
         inputs.refuse_planar()
-        return map_clouds(source.path, source.topic, config, settings, explain=explain)
+        return map_clouds(source.path, next(iter(source.topics), None), config, settings, explain=explain)
     settled = _settled(config, settings)
     recordings = [first, *inputs.later()]
     notes = [note for one in recordings for note in _notes(one, several=len(recordings) > 1)]
@@ -125,13 +128,15 @@ def _map_scans(
 
     def write(folder: Path) -> None:
         save_tum(result.trajectory, folder / "trajectory.tum")
+        save_covariances(result.trajectory, result.covariance, folder)
+        save_confidence(result.confidence, folder / "confidence.pgm")
         save_session(folder / GRAPH, result.session, config)
         if explain:
             write_explanation(folder, result, config)
 
     parts = {"parts": config.parts()}
-    ranges = result.session.ranges.as_metrics()
-    return Mapped(recording, config, result, loop_record(result), write, metrics=ranges, manifest=parts)
+    sensors = {**result.session.ranges.as_metrics(), **result.session.setup.as_metrics()}
+    return Mapped(recording, config, result, loop_record(result), write, metrics=sensors, manifest=parts)
 
 
 def _require_name(named: str | None) -> None:

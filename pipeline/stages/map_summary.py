@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.types import Recording, Recording3D
-from turtlebag.pipeline.slam.sensors.turn_comparison import delay_metrics
+from turtlebag.pipeline.slam.sensors.corrected import delay_metrics
 from turtlebag.pipeline.terminal.messages import length, log
 from turtlebag.reports.numbers import lookup
 
@@ -91,6 +91,8 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
     )
     if metrics["self_check"]["revisits"] == 0:
         yield "no place was seen twice, so the self-check had nothing to compare"
+    if said := lookup(metrics, "self_check.scale.said"):
+        yield said
     if "range_error_m" in metrics:
         near, far = (f"{1e3 * off:+.0f} mm" for off in metrics["range_error_m"].values())
         yield f"the lidar's ranges are off by {near} at 1 m and {far} at 3 m, as the scans show; corrected"
@@ -121,10 +123,30 @@ def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResul
         "keyframes": len(result.keys),
         "loops": loop_counts([loop.accepted for loop in result.loops]),
         "log_s": recording.duration(),
+        **_lidars(recording, result),
         **delay_metrics(recording),
         **metrics_of(recording.findings),
         "self_check": result.check.as_metrics(),
     }
+
+
+def _lidars(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, object]:
+    """What each of several lidars contributed."""
+    if isinstance(recording, Recording3D) or not recording.others:
+        return {}
+    session = cast("SlamResult", result).session
+    scans, of_key = recording.lidar_of, recording.lidar_of[session.track.keys]
+    errors = (session.ranges, *session.ranges.others)
+    rows = [
+        {
+            "topic": lidar.topic,
+            "scans": int(np.count_nonzero(scans == number)),
+            "keyframes": int(np.count_nonzero(of_key == number)),
+            **(errors[number].as_metrics() if number < len(errors) else {}),
+        }
+        for number, lidar in enumerate(recording.lidars)
+    ]
+    return {"lidars": rows}
 
 
 def loop_counts(accepted: Sequence[bool] | NDArray[np.bool_]) -> dict[str, int]:

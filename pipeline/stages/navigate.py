@@ -53,7 +53,7 @@ def navigate(
     """
     mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
-    text = config_text(mission.config)
+    custom = _of_bag(world, request, config_text(mission.config))
     known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
     with (
@@ -62,7 +62,7 @@ def navigate(
         out.staged(save_bag=True) as folder,
     ):
         with (
-            BagWriter(folder / "bag", custom=_of_bag(world, request, text)) as bag,
+            BagWriter(folder / "bag", custom=custom, lidars=mission.robot.lidars) as bag,
             _overrides(mission) as overrides,
             simulated_time(known_s if request.task == "avoid" else None) as clock,
         ):
@@ -76,7 +76,7 @@ def navigate(
             "navigate",
             {**_inputs(request), **(files or {}), **source_files(parts)},
             metrics=metrics,
-            config=text,
+            config=config_text(mission.config),
             seed=request.seed,
             extra={
                 "world": world.name,

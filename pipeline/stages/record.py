@@ -161,7 +161,7 @@ def record_drive(
         custom = {"seed": str(scene.seed), "config_sha256": sha256_text(config_text(scene.config("")))}
         with (
             Simulator(scene.world, scene.robot, scene.sim, scene.seed) as simulator,
-            BagWriter(folder / "bag", custom=custom) as bag,
+            BagWriter(folder / "bag", custom=custom, lidars=scene.robot.lidars) as bag,
             simulated_time() as clock,
         ):
             bounded = _bounded(driver, longest_s)

@@ -106,15 +106,15 @@ def _map(request: MapRequest, out: Output) -> int:
     )
 
 
-def _source(path: Path, laser: Laser | None, topic: str | None = None) -> Source:
-    return Source(path, laser and laser.T_base_lidar, bool(laser and laser.upside_down), topic)
+def _source(path: Path, laser: Laser | None, topics: tuple[str, ...]) -> Source:
+    return Source(path, laser and laser.T_base_lidar, bool(laser and laser.upside_down), topics)
 
 
 def _localise(request: LocaliseRequest, out: Output) -> int:
     from turtlebag.pipeline.stages.localise import load_localise_config, localise
 
     return localise(
-        _source(request.source, request.laser),
+        _source(request.source, request.laser, request.topic),
         request.map,
         out,
         initial_pose=_told(request.initial_pose),

@@ -18,20 +18,21 @@ from turtlebag.pipeline.slam.session_file import FILE as GRAPH
 class Source:
     """A bag or log. `T_base_lidar` and `upside_down` override how it says the laser sits on the robot.
 
-    `topic` names the scans of a bag, LaserScan or PointCloud2; without it they are those of /scan or of the
-    only LaserScan topic, and where there is none the point clouds.
+    `topics` names the scans of a bag, LaserScan (also those of several lidars) or PointCloud2; without it
+    they are those of all lidars that have transforms, of /scan or of the only LaserScan topic, and where
+    there is none the point clouds.
     """
 
     path: Path
     T_base_lidar: SE2 | None = None
     upside_down: bool = False
-    topic: str | None = None
+    topics: tuple[str, ...] = ()
 
     def load(self) -> Recording:
         """Its planar scans; InputError when it has none, or changes while it is read."""
         laser, over = self.T_base_lidar, self.upside_down
         with unchanged(self.path):
-            return load_recording(self.path, T_base_lidar=laser, upside_down=over, topic=self.topic)
+            return load_recording(self.path, T_base_lidar=laser, upside_down=over, topic=self.topics)
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,9 @@ class MapInputs:
 
     def refuse_planar(self) -> None:
         """InputError for what only planar scans can be mapped with."""
+        topics = self.source.topics
         given = {
+            "--topic": " ".join(topics) if len(topics) > 1 else None,
             "--also": self.also or None,
             "--laser": self.source.T_base_lidar,
             "--continue": self.continued,

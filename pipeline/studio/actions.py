@@ -74,7 +74,7 @@ def record(robot: Robot, action: inputs.Save) -> str:
         "world": setup.arena.name,
         "task": "studio",
     }
-    bag = BagWriter(folder, custom=custom)
+    bag = BagWriter(folder, custom=custom, lidars=setup.spec.lidars)
     robot.recording, publisher.bag = (action.name, bag), bag
     bag.static_transforms(robot.stamp_ns, static_transforms(setup.spec))
     if publisher.grid is not None:

@@ -92,4 +92,5 @@ def _shown(T_map_keys: SE2, keys: NDArray[np.int64], loops: list[ShownLoop]) -> 
 
 def points_of(recording: Recording, scan: int) -> Array:
     """Where the beams of a scan ended, (n, 2) in the base frame."""
-    return recording.T_base_lidar @ recording.scan(scan).points_lidar()
+    seen = recording.scan(scan)
+    return recording.lidars[seen.sensor].T_base_lidar @ seen.points_lidar()

@@ -176,7 +176,9 @@ class Pilot(Driver):
     def start_mapping(self) -> None:
         """Begin a new map, and go by it."""
         self.navigation = None
-        self.mapper, self.mapping = OnlineMap(self.kit.robot.T_base_lidar, self.kit.config.explore.slam), True
+        kit = self.kit
+        online = OnlineMap(kit.robot.T_base_lidar, kit.config.explore.slam, kit.lidars())
+        self.mapper, self.mapping = online, True
 
     def keep_out(self, costmap: Costmap) -> None:
         """The map that is loaded has other places to keep out of."""

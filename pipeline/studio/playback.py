@@ -211,7 +211,10 @@ class Playback:
             raise InputError("map_start: mapping is already running")
         if self.idle:
             raise InputError("map_start: end of the bag; go back first")
-        mapper, first = Mapper(self._log.lidar, self._log.T_base_lidar), self._head.scan + 1
+        mapper, first = (
+            Mapper(self._log.lidar, self._log.T_base_lidar, others=self._log.others),
+            self._head.scan + 1,
+        )
         self._online = Online(mapper, first, heard(self._log, first))
         self._drawn = self._loop = None
         self._trails["slam"].clear()

@@ -72,7 +72,7 @@ class Robot:
         setup, robot = self.setup, self.setup.spec
         self.observation = self.simulator.reset(step=self._step)
         self.publisher.grid = self.publisher.path = None
-        self.pilot = Pilot(Kit(robot, setup.config, setup.seed, Sensing(robot.T_base_lidar), self.publisher))
+        self.pilot = Pilot(Kit(robot, setup.config, setup.seed, Sensing.of(robot), self.publisher))
         self.by_hand: Twist | None = None
         """The current teleop command; None without teleop."""
         self.owner = CommandOwner(self.pilot, robot.model, self, CollisionMonitor(robot.model))

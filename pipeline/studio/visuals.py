@@ -155,11 +155,11 @@ class Visuals:
         """The goals of the last task, if it had some."""
 
     def scan(self) -> Array | None:
-        """Where the beams of the newest sweep ended, (n, 2) in the map frame."""
+        """Where the beams of the newest sweeps ended, (n, 2) in the map frame."""
         sweep, T_map_odom = self._pilot.sensing.sweep, self._pilot.T_map_odom
         if sweep is None:
             return None
-        return self._cached.get("scan", (sweep, self._frame), lambda: T_map_odom @ sweep.hits_odom)
+        return self._cached.get("scan", (sweep, self._frame), lambda: T_map_odom @ sweep.around_odom)
 
     def particles(self) -> Array | None:
         """The cloud, (n, 3)."""

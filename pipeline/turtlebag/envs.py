@@ -96,9 +96,9 @@ class GoalEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return float(np.hypot(*(self._goal - self._sim.truth.T_world_base.xy)))
 
     def _look(self, observation: Observation) -> None:
-        """The nearest return in each sector, from the newest scan."""
+        """The nearest return in each sector, from the newest scan of the main lidar."""
         scan = observation.scan
-        if scan is None:
+        if scan is None or scan.sensor != 0:
             return
         ranges = np.where(scan.valid(), scan.ranges, self._farthest)
         angles = scan.lidar.angles + float(self._sim.robot.T_base_lidar.yaw)

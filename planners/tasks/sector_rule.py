@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,6 +37,12 @@ class Sectors:
     right: float
 
 
+def nearest(sectors: Iterable[Sectors]) -> Sectors:
+    """What several lidars see together."""
+    rows = [(one.left, one.front, one.right) for one in sectors]
+    return Sectors(*(min(column) for column in zip(*rows, strict=True)))
+
+
 @dataclass(frozen=True)
 class Decision:
     """What to do, and in a word why."""
@@ -44,16 +51,17 @@ class Decision:
     command: Twist
 
 
-def read_sectors(scan: Scan) -> Sectors:
+def read_sectors(scan: Scan, yaw: float = 0.0) -> Sectors:
     """Front -30..30 degrees (it straddles 0), left 60..120, right 240..300, ends included.
 
-    NaN, +inf and anything under 0.01 m (so -inf too) are ignored.
+    `yaw` [rad] is the direction of the lidar's beam angle 0 on the robot. NaN, +inf and anything under 0.01 m
+    (so -inf too) are ignored.
     """
     ranges = scan.ranges.astype(np.float64)
     ranges = np.where(np.isfinite(ranges) & (ranges >= LEAST_RANGE_M), ranges, np.inf)
 
     def least(centre: float) -> float:
-        off_deg = np.round(np.degrees(np.abs(wrap(scan.lidar.angles - centre))), 3)
+        off_deg = np.round(np.degrees(np.abs(wrap(scan.lidar.angles + yaw - centre))), 3)
         return float(ranges.min(where=off_deg <= SECTOR_DEG, initial=math.inf))
 
     return Sectors(least(math.pi / 2.0), least(0.0), least(-math.pi / 2.0))

@@ -127,13 +127,14 @@ def beams_in_map(recording: Recording, path: Trajectory, k: int) -> tuple[Array,
 
     A lidar that turns while the robot does sees a turned room; the base moves on to the pose of scan k + 1.
     """
-    lidar, T_map_base = recording.lidar, path.poses[k]
+    mounted, T_map_base = recording.lidars[recording.lidar_of[k]], path.poses[k]
+    lidar = mounted.spec
     motion, step_s = SE2.identity(1), math.inf
     if k + 1 < len(path) and path.stamps_ns[k + 1] > path.stamps_ns[k]:
         motion = T_map_base.inverse() @ path.poses[k + 1 : k + 2]
         step_s = float(path.stamps_ns[k + 1] - path.stamps_ns[k]) * 1e-9
-    fractions = np.arange(lidar.n_beams) * lidar.time_increment / step_s
-    origins, directions = deskewed(lidar.directions, fractions, recording.T_base_lidar.xyt, motion.xyt)
+    fractions = lidar.order * abs(lidar.time_increment) / step_s
+    origins, directions = deskewed(lidar.directions, fractions, mounted.T_base_lidar.xyt, motion.xyt)
     return T_map_base @ origins, SE2.from_xyt(0.0, 0.0, T_map_base.yaw) @ directions
 
 
@@ -147,9 +148,9 @@ class GrowingMap:
 
     def add(self, recording: Recording, k: int, beams: tuple[Array, Array]) -> None:
         """Count one scan. A beam is a wedge up to half a cell before its hit; a silent one says nothing."""
-        lidar, (origins, directions) = recording.lidar, beams
-        hit = lidar.returns(recording.ranges[k])
-        ranges = np.where(hit, np.minimum(np.nan_to_num(recording.ranges[k].astype(np.float64)), FAN_M), 0.0)
+        scan, (origins, directions) = recording.scan(k), beams
+        lidar, hit = scan.lidar, scan.valid()
+        ranges = np.where(hit, np.minimum(np.nan_to_num(scan.ranges.astype(np.float64)), FAN_M), 0.0)
         rows, columns = self._hits.shape
         seen = Image.new("1", (columns, rows))
         reach = np.maximum(ranges - 0.5 * self._cell_m, 0.0)[:, None]

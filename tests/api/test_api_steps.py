@@ -60,7 +60,7 @@ def test_options_are_shown_with_their_types():
     assert all(one.annotation is not one.empty for options in shown.values() for one in options.values())
     types = {name: str(shown["map"][name].annotation) for name in ("topic", "also", "truth", "settings")}
     assert types == {
-        "topic": "str | None",
+        "topic": "tuple[str, ...]",
         "also": "tuple[PathLike, ...]",
         "truth": "PathLike | None",
         "settings": "dict[str, Any]",

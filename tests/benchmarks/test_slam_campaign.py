@@ -13,12 +13,12 @@ import pytest
 
 from benchmarks import runner as frame
 from benchmarks import slam_campaign, slam_logs
-from benchmarks.disturb import KINDS, SCORED
+from benchmarks.disturb import KINDS
 from benchmarks.known_logs import known
 from benchmarks.runner import Case, Rows, every, in_processes
-from benchmarks.slam_detector import accuracy, detection, detector_cases, judged
 from benchmarks.slam_logs import BARE, LIDARS, MADE, MISHAPS, WORLDS, drive_cases, mishap_cases
 from benchmarks.slam_parts import NUMBERS, multiply_constant
+from benchmarks.slam_scores import accuracy
 from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.mapper import SlamConfig
@@ -90,29 +90,6 @@ def test_a_constant_is_multiplied_wherever_it_is_read():
     assert changes[correspondences, "FINE"] == (0.1, 0.06, 15, 10**6)
     for module in (align, range_calibration):
         assert changes[module, "STEP_COVARIANCE_SCALE"] == 2.5
-
-
-def test_the_detector_has_five_hundred_maps_and_two_halves_of_ten_kinds_and_more():
-    cases = detector_cases()
-    assert len(cases) == len({case.name for case in cases}) >= 500
-    assert set(SCORED) < set(KINDS)
-    assert 10 <= len(SCORED) <= len(KINDS) - 10
-    assert {case.about["half"] for case in cases if case.about["kind"] == "plain"} == {"build", "score"}
-
-
-def found(worst, verdict, kind="plain", half="build"):
-    return {"world": "w", "robot": "r", "kind": kind, "half": half, "worst_m": worst, "verdict": verdict}
-
-
-def test_bad_is_far_off_or_five_times_the_median_of_its_own_world():
-    rows = [found(0.01, "good")] * 3 + [found(0.06, "good", "late"), found(0.3, "doubtful", "third", "score")]
-    assert [row["bad"] for row in judged(rows)] == [False] * 3 + [True, True]
-    assert [row["bad"] for row in judged(rows[3:])] == [False, True]  # no undisturbed maps to compare with
-    lines = {line["maps"]: line for line in detection(judged([*rows, {"error": "x", **found(9.0, "good")}]))}
-    assert lines["all"]["n"] == 5
-    assert lines["build"]['bad ones called "good"'].startswith("1 of 1")
-    assert lines["score"]['bad ones called "good"'].startswith("0 of 1")
-    assert lines["score: third"]["n"] == 1
 
 
 def test_rows_of_the_same_code_are_kept_and_a_cut_line_is_none(tmp_path):

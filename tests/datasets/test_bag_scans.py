@@ -156,7 +156,7 @@ def test_a_sweep_takes_a_minute_at_the_most_and_usually_the_time_between_scans()
     for increment, slow in ((0.039, False), (0.041, True)):
         scans = [scan([1, 2, 3], increment=increment)._replace(stamp_ns=k * 10**8) for k in range(4)]
         _, lidar, said = assembled(scans)
-        assert lidar.time_increment == pytest.approx(increment)
+        assert lidar.time_increment == (0.0 if slow else pytest.approx(increment))
         assert any("implies a sweep of 0.123 s, a scan comes every 0.100 s" in line for line in said) == slow
 
 

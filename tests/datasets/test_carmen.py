@@ -14,6 +14,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.no_return_range import no_return_value
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import load_relations
+from turtlebag.pipeline.slam.mapper import SlamConfig
 
 RADISH = Path(__file__).parents[3] / "shared" / "data" / "radish"
 radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
@@ -68,6 +69,16 @@ def test_far_readings_become_no_return_and_bad_ones_nan(tmp_path):
     assert np.isposinf(recording.ranges[0, :2]).all()
     assert np.isnan(recording.ranges[0, 2])
     assert recording.lidar.range_max == 27.0
+
+
+def test_a_lidar_that_sees_far_is_not_cut_below_what_it_measures(tmp_path):
+    ranges = np.full(180, 3.0)
+    ranges[:3] = [49.99, 79.5, 81.83]
+    recording = load_recording(write(tmp_path, flaser(ranges)))
+    np.testing.assert_allclose(recording.ranges[0, :3], [49.99, 79.5, np.inf])
+    assert recording.lidar.range_max == 80.0
+    assert SlamConfig().usable(*recording.lidars) == 80.0
+    assert SlamConfig(usable_range_m=12.0).usable(*recording.lidars) == 12.0
 
 
 def test_short_range_lidar_shows_its_no_return_value_as_a_spike():
@@ -274,3 +285,19 @@ def test_fields_may_be_parted_by_tabs(tmp_path):
     expected = load_recording(write(tmp_path, spaces * 2, "b.clf"))
     np.testing.assert_array_equal(found.ranges, expected.ranges)
     np.testing.assert_array_equal(found.T_odom_base.xyt, expected.T_odom_base.xyt)
+
+
+@pytest.mark.parametrize(("stated", "beyond"), [(26.0, True), (3.0, False)])
+def test_a_reading_at_the_stated_maximum_is_no_return_unless_most_are_longer(tmp_path, stated, beyond):
+    ranges = np.linspace(4.0, 26.0, 180)
+    lines = [robotlaser(ranges, -math.pi / 2, k + 0.5).replace(" 81.9 ", f" {stated} ") for k in range(3)]
+    found = load_recording(write(tmp_path, "".join(lines))).ranges
+    assert np.isposinf(found[:, -1]).all() == beyond
+    assert np.isfinite(found[:, :-1]).all()
+
+
+def test_a_sick_that_sees_eighty_metres_may_see_them(tmp_path):
+    ranges = np.linspace(1.0, 81.8, 180)
+    found = load_recording(write(tmp_path, "".join(flaser(ranges, stamp=f"{k}.5") for k in range(3))))
+    assert np.isfinite(found.ranges).all()
+    assert found.lidar.range_max > 81.8

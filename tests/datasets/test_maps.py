@@ -12,13 +12,19 @@ from PIL import Image
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.maps import load_map, save_confidence, save_map
 from turtlebag.datasets.se2 import SE2
 
 YAML = (
     "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
     "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
 )
+
+
+def test_a_confidence_is_an_image_of_the_map_s_size(tmp_path):
+    save_confidence(np.array([[0.0, 1.0, 0.5], [0.2, 0.0, 1.0]]), tmp_path / "confidence.pgm")
+    pixels = np.asarray(Image.open(tmp_path / "confidence.pgm"))
+    assert pixels.tolist() == [[51, 0, 255], [0, 255, 128]]  # the row of the largest y comes first
 
 
 def write(folder, pixels, text=YAML):

@@ -114,7 +114,7 @@ def test_beams_put_on_a_finer_grid_have_the_same_noise_lines_and_open_space(corr
     lidar = replace(NEAR, n_beams=4 * SICK.n_beams, angle_increment=SICK.angle_increment / 4)
     finer = replace(corridor, ranges=ranges, lidar=lidar)
     assert (corridor.stride, finer.stride) == (1, 4)
-    noise, expected = (vars(range_noise(one, 30.0)) for one in (finer, corridor))
+    noise, expected = ({**vars(range_noise(one, 30.0)), "others": 0.0} for one in (finer, corridor))
     assert noise == pytest.approx(expected)
     ours, theirs = make_clouds(finer, 30.0), make_clouds(corridor, 30.0)
     np.testing.assert_allclose(ours.normals, theirs.normals, atol=1e-9)
@@ -148,3 +148,37 @@ def test_the_same_sweep_from_a_standing_robot_stays(odometry):
 def test_a_lidar_without_noise_may_measure_the_same_again():
     log = recording(CORRIDOR, np.tile(DRIVE[:1], (20, 1)), SICK, noise=0.0, odometry=DRIVE)
     assert without_repeats(log, 30.0) is log
+
+
+def test_a_code_that_few_beams_give_is_one_all_the_same():
+    """0.29 % of the readings stand at 26 m and nothing near: they became walls."""
+    rng = np.random.default_rng(4)
+    readings = np.round(rng.gamma(2.0, 2.0, (200, 180)), 2)
+    readings.flat[:: round(1 / 0.0029)] = 26.0
+    assert no_return_value(readings) == 26.0
+
+
+def test_several_codes_beside_each_other_are_all_codes():
+    """As a SICK of 2005 says it: 51.15, 51.14 and 50 m."""
+    rng = np.random.default_rng(5)
+    readings = np.round(rng.gamma(2.0, 4.0, (200, 180)), 2)
+    readings[:, :10], readings[:, 10:13], readings[:, 13] = 51.15, 51.14, 50.0
+    assert no_return_value(readings) == 50.0
+
+
+def test_a_wall_far_away_that_a_standing_robot_sees_again_and_again_is_a_wall():
+    rng = np.random.default_rng(6)
+    readings = np.round(rng.uniform(0.5, 8.0, (300, 180)), 2)
+    readings[:, 90] = np.round(20.0 + 0.01 * rng.standard_normal(300), 2)
+    assert no_return_value(readings) == np.inf
+
+
+def test_a_lidar_that_says_one_metre_in_all_directions_wherever_the_robot_is_sees_nothing():
+    log = recording(CORRIDOR, DRIVE, SICK, odometry=DRIVE)
+    rng = np.random.default_rng(7)
+    for noise in (0.0, 0.005):
+        ranges = (1.0 + noise * rng.standard_normal(log.ranges.shape)).astype(np.float32)
+        found = without_repeats(replace(log, ranges=ranges), 30.0)
+        # the first scans, up to 0.2 m away, may have seen a round place
+        assert np.flatnonzero(np.isnan(found.ranges).all(axis=1)).tolist() == list(range(3, 20))
+        assert "17 scans are one range in all directions although the odometry moves" in found.notes[-1]

@@ -45,8 +45,10 @@ def test_a_motor_that_wavers_does_not_make_scans_different(tmp_path):
         (
             "/scan",
             SCAN,
-            k,
-            laser_scan(k, np.ones(360), time_increment=(1 + 0.01 * k) / 1800, scan_time=0.2 + k),
+            k * 1_000_000_000,
+            laser_scan(
+                k * 1_000_000_000, np.ones(360), time_increment=(1 + 0.01 * k) / 1800, scan_time=0.2 + k
+            ),
         )
         for k in range(5)
     ]

@@ -1,5 +1,7 @@
 """TUM files keep stamps exactly and poses to the last digit that matters."""
 
+import csv
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,14 @@ from hypothesis import strategies as st
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.trajectories import load_tum, save_tum, stamp_from_text, stamp_text
+from turtlebag.datasets.trajectories import (
+    COVARIANCES,
+    load_tum,
+    save_covariances,
+    save_tum,
+    stamp_from_text,
+    stamp_text,
+)
 from turtlebag.datasets.trajectories_3d import read_trajectory_3d
 from turtlebag.datasets.types import Trajectory
 
@@ -29,6 +38,20 @@ def test_round_trip(tmp_path):
     loaded = load_tum(tmp_path / "t.tum")
     np.testing.assert_array_equal(loaded.stamps_ns, [0, 200_000_000])
     np.testing.assert_allclose(loaded.poses.xyt, poses.xyt, atol=1e-9)
+
+
+def test_poses_and_their_covariances_are_numbers_by_column(tmp_path):
+    root = np.random.default_rng(1).standard_normal((2, 3, 3))
+    covariance = root @ root.transpose(0, 2, 1)
+    poses = SE2.from_xyt(np.array([1.0, 2.0]), np.array([-3.0, 0.5]), np.array([0.1, -3.0]))
+    save_covariances(Trajectory(np.array([1_500_000_000, 2_000_000_001]), poses), covariance, tmp_path)
+    with (tmp_path / COVARIANCES).open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row.pop("stamp") for row in rows] == ["1.500000", "2.000000001"]
+    assert list(rows[0]) == ["x", "y", "yaw", "xx", "xy", "xyaw", "yy", "yyaw", "yawyaw"]
+    found = np.array([[float(value) for value in row.values()] for row in rows])
+    np.testing.assert_allclose(found[:, :3], poses.xyt)
+    np.testing.assert_allclose(found[:, 3:], covariance[:, *np.triu_indices(3)])
 
 
 def test_stamps_out_of_order_stay_in_file_order(tmp_path):

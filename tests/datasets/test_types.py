@@ -10,7 +10,7 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum_3d
-from turtlebag.datasets.types import Recording3D, Trajectory, yaw_difference
+from turtlebag.datasets.types import LidarSpec, Recording3D, Trajectory, yaw_difference
 
 
 def test_a_robot_s_inner_and_outer_circle():
@@ -66,3 +66,26 @@ def test_poses_in_space_are_written_with_place_and_quaternion(tmp_path):
     read = load_tum(tmp_path / "t.tum")
     np.testing.assert_allclose(read.poses.xyt, [[1.0, 0.0, 0.0], [-2.0, 0.0, math.pi / 2]], atol=1e-9)
     assert read.stamps_ns.tolist() == [10**9, 2 * 10**9 + 5]
+
+
+@pytest.mark.parametrize(
+    ("first", "increment", "order"),
+    [
+        (0, 0.1, [0, 1, 2, 3]),
+        (3, 0.1, [1, 2, 3, 0]),
+        (0, -0.1, [3, 2, 1, 0]),
+        (3, -0.1, [2, 1, 0, 3]),
+        (0, 0.0, [0, 1, 2, 3]),
+    ],
+)
+def test_beams_are_taken_from_the_first_one_on_in_either_direction(first, increment, order):
+    lidar = LidarSpec(4, 0.0, 1.5, 0.1, 4.0, increment, 0.4, first)
+    assert lidar.order.tolist() == order
+    np.testing.assert_allclose(lidar.shares, np.array(order) / 3.0)
+    assert lidar.sweep_s == pytest.approx(3.0 * abs(increment))
+
+
+@pytest.mark.parametrize("first", [-1, 4])
+def test_the_first_beam_is_one_of_them(first):
+    with pytest.raises(ValueError, match="cannot be the first"):
+        LidarSpec(4, 0.0, 1.5, 0.1, 4.0, first_beam=first)

@@ -152,8 +152,8 @@ def make_log(
         raise ValueError(f"{name}: the route touches a wall near {at.round(2)}")
     rng = stream(seed, name)
     odometry = drifted(poses, wheels, lies, rng)
-    sweep = sensor.spec.time_increment * sensor.spec.n_beams
-    times = np.arange(max(0.0, -sweep), (len(poses) - 2) * DT - max(0.0, sweep), sensor.period)
+    sweep = abs(sensor.spec.time_increment) * sensor.spec.n_beams
+    times = np.arange(0.0, (len(poses) - 2) * DT - sweep, sensor.period)
     jitter = 0.02 * sensor.period if sensor.spec.time_increment == 0.0 else 0.0
     times = np.abs(times + rng.normal(0.0, jitter, len(times)) if jitter else times)
     ranges = measure(plan, poses, times, sensor, rng, person)
@@ -254,7 +254,7 @@ def measure(
 ) -> NDArray[np.float32]:
     """Ranges (n_scans, n_beams) as a driver would hand them on."""
     spec = sensor.spec
-    when = times[:, None] + spec.time_increment * np.arange(spec.n_beams)
+    when = times[:, None] + abs(spec.time_increment) * spec.order
     T_world_lidar = at_times(poses, when) @ SE2(np.array(sensor.T_base_lidar))
     angles = T_world_lidar.yaw + spec.angles
     ways, turned = np.stack([np.cos(angles), np.sin(angles)], axis=-1), np.unwrap(angles)

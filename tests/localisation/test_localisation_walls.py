@@ -207,7 +207,5 @@ def test_a_lidar_that_turns_the_other_way_is_seen_from_where_it_was():
     seen = room.ranges(T @ T_start_base @ SE2(T_BASE_LIDAR.xyt[None]), LIDAR.angles, 3.5).astype(np.float32)
     there = prepare(Scan(0, seen, LIDAR), T_BASE_LIDAR, motion).points
     back = LidarSpec(360, LIDAR.angles[-1], -LIDAR.angle_increment, 0.12, 3.5, -LIDAR.time_increment, 0.2)
-    # its first beam is the last one taken: the base moves back from there
-    last = T_start_base[359]
-    turned = prepare(Scan(0, seen[::-1].copy(), back), T_BASE_LIDAR, motion.inverse()).points
-    assert np.allclose(last @ turned[::-1], there, atol=1e-6)
+    turned = prepare(Scan(0, seen[::-1].copy(), back), T_BASE_LIDAR, motion).points
+    assert np.allclose(turned[::-1], there, atol=1e-6)

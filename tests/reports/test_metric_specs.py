@@ -7,6 +7,7 @@ from typing import get_args, get_origin, get_type_hints, is_typeddict
 
 import pytest
 
+from turtlebag.pipeline.slam.check.size import Size
 from turtlebag.pipeline.slam.check.verdict import SelfCheck
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.stages.map_summary import loop_counts
@@ -34,6 +35,7 @@ IN_METRICS = {
     "map": {
         *("scans", "keyframes", "log_s", "odometry_late_s"),
         *(f"self_check.{field.name}" for field in fields(SelfCheck)),
+        *(path for path, _ in leaves(Size().as_metrics(), "self_check")),
         *(f"loops.{name}" for name in loop_counts([])),
         *(path for path, _ in leaves(RangeCalibration(1.0, 1.0).as_metrics())),
         *paths(TrajectoryErrors),

@@ -21,8 +21,7 @@ from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs, partner_radius
-from turtlebag.pipeline.slam.scans.scans import joined_clouds
-from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
+from turtlebag.pipeline.slam.sessions import border_constraint, joined_clouds, joined_track
 
 
 def place(i, j, T_j_i, overlap=0.8):

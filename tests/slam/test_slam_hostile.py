@@ -80,7 +80,6 @@ def test_odometry_that_lies_is_found_out(lies):
 DAMAGES = {
     "three seconds of scans missing, twice": lambda log: without(without(log, 25.0, 3.0), 70.0, 3.0),
     "scans of nothing but NaN": lambda log: blinded(blinded(log, 20.0, 2.0), 75.0, 3.0),
-    "clock set back": lambda log: clock_back(log, 50.0, 30.0),
     "stamps out of order": lambda log: shaken_stamps(log, 0.1, 0.5),
 }
 
@@ -90,6 +89,15 @@ DAMAGES = {
 def test_damaged_logs_are_mapped(damage):
     log = damage(office())
     assert_right(log, mapped(log), ate=0.03)
+
+
+@pytest.mark.slow
+def test_a_clock_that_is_set_back_is_a_doubt():
+    log = clock_back(office(), 50.0, 30.0)
+    result = mapped(log)
+    assert errors(result.trajectory.poses, log.reference)["m"] < 0.03
+    assert result.check.verdict == "doubtful"
+    assert "the stamps go back by 29.6 s" in result.check.reasons[0]
 
 
 @pytest.mark.slow

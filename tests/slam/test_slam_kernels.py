@@ -87,11 +87,11 @@ def counts(clouds, row, found, T_key_scan, reach):
 
 def in_view(clouds, xy, key, margin):
     """Whether two of the three beams of `key` about that bearing are there, and none ends before it."""
-    offset = xy - clouds.origin
+    offset = xy - clouds.origin[0]
     bins = clouds.table.shape[1]
     middle = int((math.atan2(offset[1], offset[0]) + math.pi) * bins / (2 * math.pi))
     rows = [clouds.table[key, b % bins] for b in (middle - 1, middle, middle + 1)]
-    ranges = [np.hypot(*(clouds.points[row] - clouds.origin)) for row in rows if row >= 0]
+    ranges = [np.hypot(*(clouds.points[row] - clouds.origin[0])) for row in rows if row >= 0]
     return len(ranges) >= 2 and min(ranges) >= np.hypot(*offset) - margin
 
 
@@ -305,7 +305,7 @@ def test_a_point_is_agreeing_near_what_the_other_saw_and_violating_where_it_saw_
         expected = []
         for a, b in pairs:
             points = (SE2(poses[b]).inverse() @ SE2(poses[a])) @ clouds.of(keys[a])
-            rays = points - clouds.origin
+            rays = points - clouds.origin[0]
             agreeing = violating = 0
             for point, distance, bearing in zip(
                 points, np.linalg.norm(rays, axis=1), np.arctan2(rays[:, 1], rays[:, 0]), strict=True
@@ -317,7 +317,8 @@ def test_a_point_is_agreeing_near_what_the_other_saw_and_violating_where_it_saw_
                 if len(seen) and np.linalg.norm(seen - point, axis=1).min() < wall:
                     agreeing += 1
                 elif (
-                    len(seen) >= 3 and np.linalg.norm(seen - clouds.origin, axis=1).min() > distance + through
+                    len(seen) >= 3
+                    and np.linalg.norm(seen - clouds.origin[0], axis=1).min() > distance + through
                 ):
                     violating += 1
             expected.append(violating / (agreeing + violating) if agreeing + violating >= 20 else np.nan)

@@ -82,7 +82,9 @@ def test_lines_grow_beam_by_beam_as_plain_numpy_grows_them(seed, noise, beams):
     for scan in range(2):
         lo, hi = clouds.starts[scan : scan + 2]
         for i in range(lo, hi):
-            expected = plain_line(clouds.points, lo, hi, i, clouds.origin, 2.0 * math.pi / beams, range_var)
+            expected = plain_line(
+                clouds.points, lo, hi, i, clouds.origin[0], 2.0 * math.pi / beams, range_var
+            )
             assert clouds.line_ok[i] == (expected is not None)
             if expected is None:
                 assert (clouds.point_var[i], clouds.normal_var[i]) == (np.float32(range_var[i]), 0.0)
@@ -132,9 +134,8 @@ def test_points_are_counted_by_what_places_a_scan():
         ok[5 : 5 + lines] = True
         empty = np.zeros((points + 5, 2))
         starts = np.array([0, 5, points + 5])
-        return Clouds(
-            empty, empty, empty, ok, empty[:, 0], empty[:, 0], starts, np.zeros((2, 8)), np.zeros(2)
-        )
+        points, table, one = (empty, empty, empty, ok, empty[:, 0], empty[:, 0]), np.zeros((2, 8)), [8]
+        return Clouds(*points, starts, table, np.zeros((1, 2)), np.array(one), np.zeros(2, dtype=np.uint8))
 
     for points, lines, by in (
         (20, 8, "lines"), (20, 7, "points"), (100, 30, "lines"), (100, 29, "points"),

@@ -4,9 +4,9 @@ import numpy as np
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.constraints import Loop
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind, Loop
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig, LoopFinder
-from turtlebag.pipeline.slam.loops.closure import spanned_steps
+from turtlebag.pipeline.slam.loops.closure import look_again, spanned_steps
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
 
@@ -43,3 +43,31 @@ def test_a_loop_that_would_let_visits_see_through_walls_is_not_believed():
     for off in (SE2.from_xyt(1.0, 0.0, 0.0), SE2.from_xyt(0.0, -1.2, 0.0), SE2.from_xyt(0.0, 0.0, 0.5)):
         wrong = (right @ off).xyt
         assert finder.match_from(i, j, wrong, 0.0, 0.0).verdict == "free-space violations", off.xyt
+
+
+def test_places_are_searched_again_from_where_the_refinement_put_them_until_nothing_is_new():
+    true = around_the_room(300, laps=2)
+    keys = np.arange(0, 300, 5)
+    scans = KeyScans(make_clouds(recording(ROOM, true, odometry=true), 8.0), keys)
+    T, n = SE2(true[keys]), len(keys)
+    along = [
+        Constraint(k, k + 1, step, np.diag([400.0, 400.0, 4e3]), Kind.STEP)
+        for k, step in enumerate(T.steps())
+    ]
+    pair = Constraint(0, 30, (T[0].inverse() @ T[30]).xyt, np.eye(3), Kind.PAIR)
+    graph, closing = Graph(T, [*along, pair], [], [], np.zeros(n - 1, dtype=bool)), LoopClosing(LoopConfig())
+    again = look_again(scans, graph, closing)
+    assert again is not None
+    kinds = [c.kind for c in again.constraints]
+    assert kinds.count(Kind.LOOP) == sum(loop.accepted for loop in again.loops) > 3
+    assert kinds.count(Kind.STEP) == n - 1
+    assert Kind.PAIR not in kinds
+    assert np.abs((again.T_map_keys.xyt - T.xyt)[:, :2]).max() < 0.05
+    rounds = 0
+    while again is not None and rounds < 5:
+        again, rounds = look_again(scans, again, closing), rounds + 1
+    assert again is None
+    # across a break that nothing bridges, distance says nothing
+    torn = look_again(scans, Graph(T, along, [], [], np.arange(n - 1) == n // 2 - 1), closing)
+    assert torn is not None
+    assert all((loop.i < n // 2) == (loop.j < n // 2) for loop in torn.loops)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import LidarSpec, Trajectory
+from turtlebag.datasets.types import LidarSpec, MountedLidar, Trajectory
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.drift import HONEST
 from turtlebag.pipeline.slam.graph.isam2 import GrowingGraph, joined, without
@@ -104,7 +104,7 @@ def test_a_log_heard_with_a_stream_of_odometry_is_the_log_it_was_and_keeps_the_n
     log = replace(log, lidar=replace(log.lidar, time_increment=0.15 / 359))
     stamps = np.arange(log.stamps_ns[0], log.stamps_ns[-1] + 1, 50_000_000)
     stream = Trajectory(stamps, SE2(rng.normal(size=(len(stamps), 3))))
-    growing = GrowingLog(log.lidar, log.T_base_lidar)
+    growing = GrowingLog([MountedLidar(log.lidar, log.T_base_lidar)])
     for scan, odometry in heard(replace(log, odometry=stream)):
         growing.append(scan, odometry, [])
         assert odometry.stamps_ns[-1] == min(scan.stamp_ns + 150_000_000, stamps[-1])

@@ -49,7 +49,7 @@ def swept(lidar: LidarSpec) -> tuple[Recording, SE2]:
 
     ranges = np.empty((len(stamps), lidar.n_beams), dtype=np.float32)
     for row, stamp in zip(ranges, stamps, strict=True):
-        poses = base(stamp * 1e-9 + lidar.time_increment * np.arange(lidar.n_beams)) @ T_BASE_LIDAR
+        poses = base(stamp * 1e-9 + lidar.order * abs(lidar.time_increment)) @ T_BASE_LIDAR
         row[:] = ranges_to(FOUR_WALLS, poses, lidar.angles, lidar.range_max)
     times = (10**10 + 10_000_000 * np.arange(-40, 240)).astype(np.int64)
     odometry = Trajectory(times, base(times * 1e-9))

@@ -13,7 +13,6 @@ from tests.helpers.made_logs import arena, burger_lidar
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.range_noise import range_noise
 from turtlebag.pipeline.slam.sensors.mounting import facing, stretches, turned_by_deg, ways_of, yaw_error_deg
 
@@ -66,7 +65,7 @@ def test_a_robot_that_winds_along_is_seen_to_go_where_its_wheels_say():
     winding = np.column_stack([x, 2.0 + 0.12 * np.sin(4.0 * np.pi * x)])
     drive = Drive(v=0.18, w=2.0, dv=2.0, dw=10.0, ahead=0.06)
     recording = make_log("winding", plan, winding, burger_lidar(), drive=drive).recording
-    noise = range_noise(recording, USABLE_M)
+    noise = range_noise(recording, recording.lidar.range_max)
     seen, told = np.array([ways_of(recording, one, noise) for one in stretches(recording)]).T
     assert np.quantile(np.abs(np.angle(told / seen, deg=True)), 0.9) < 3.0
 

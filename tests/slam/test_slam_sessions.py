@@ -9,7 +9,7 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.graph.constraints import Kind
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
-from turtlebag.pipeline.slam.scans.scans import joined_clouds
+from turtlebag.pipeline.slam.sessions import joined_clouds
 from turtlebag.reports.metrics.trajectory import ate
 
 FIRST = around_the_room(100)

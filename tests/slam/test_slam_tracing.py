@@ -17,6 +17,7 @@ from turtlebag.pipeline.slam.grid import (
     beam_lengths,
     beside,
     cast_beams,
+    cell_confidence,
     certainty,
     classify,
     make_checked_grid,
@@ -79,7 +80,10 @@ def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
     lidar, T_base_lidar = LidarSpec(beams, -2.0, 4.0 / (beams - 1), 0.1, 8.0), np.array([0.15, -0.08, 0.5])
     for moving in (motion, np.zeros((n, 1, 3))):
         found, expected = Counts.none(50, 60), Counts.none(50, 60)
-        cast_beams(found, res, (length, returned), (lidar.directions, T_base_lidar, moving), poses, 0.25)
+        for with_return in (True, False):
+            seen_from = (lidar.directions, lidar.shares, T_base_lidar, moving)
+            traced = (length, returned == with_return)
+            cast_beams(found, res, traced, seen_from, poses, (with_return, 0.25))
         for with_return in (True, False):
             for k in range(n):
                 origins, ways = deskewed(
@@ -215,9 +219,27 @@ def test_a_sweep_in_motion_is_drawn_by_its_own_odometry_or_by_what_it_is_told():
     config = OccupancyConfig(min_hits=1)
     ahead = SE2.from_xyt(np.full((1, KNOTS), 0.4), np.zeros((1, KNOTS)), np.zeros((1, KNOTS)))
     for motion, farthest in ((None, 2.5), (ahead, 2.4)):
-        grid, _ = make_checked_grid(log, SE2.identity(1), config, 30.0, motion)
+        grid = make_checked_grid(log, SE2.identity(1), config, 30.0, motion).grid
         walls = np.argwhere(grid.cells == OCCUPIED)[:, 1] * 0.05 + 0.025 + grid.T_map_grid.x
         assert walls.max() == pytest.approx(farthest, abs=0.04)
+
+
+def test_a_cell_is_the_surer_the_more_beams_agree_on_it():
+    cells = np.array([[OCCUPIED, OCCUPIED, OCCUPIED, FREE, FREE, UNKNOWN]], dtype=np.int8)
+    hits = np.array([[2, 50, 13, 0, 0, 0]], dtype=np.uint16)
+    misses = np.array([[1, 5, 38, 1, 80, 0]], dtype=np.uint16)
+    (few, many, even, once, often, unknown) = cell_confidence(cells, hits, misses, 0.25)[0].tolist()
+    assert 0.4 < even < 0.7 < few < many
+    assert 0.5 < once < 0.95 < often <= 1.0
+    assert unknown == 0.0
+
+
+def test_the_confidence_of_a_grid_has_its_cells():
+    poses = around_the_room(5)
+    drawn = make_checked_grid(recording(ROOM, poses), SE2(poses), OccupancyConfig(margin_m=0.3), 30.0)
+    assert drawn.confidence.shape == drawn.grid.shape
+    assert ((drawn.confidence > 0.0) == (drawn.grid.cells != UNKNOWN)).all()
+    assert drawn.confidence[drawn.grid.cells == OCCUPIED].mean() > 0.8
 
 
 @pytest.mark.slow
@@ -237,7 +259,7 @@ def test_a_field_holds_how_near_the_nearest_point_is():
     # what a beam passed through is empty, all else unseen
     seen = np.zeros((rows, cols), dtype=bool)
     for k in (2, 0):
-        lidar = (SE2(poses[k]) @ clouds.origin - field.corner) / res
+        lidar = (SE2(poses[k]) @ clouds.origin[0] - field.corner) / res
         for end in (SE2(poses[k]) @ clouds.of(k) - field.corner) / res:
             steps = int(np.abs(end - lidar).max())
             way = np.floor(lidar + (end - lidar) * (np.arange(steps) / max(steps, 1))[:, None]).astype(int)

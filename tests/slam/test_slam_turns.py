@@ -11,17 +11,13 @@ from tests.helpers.made_drives import Drive, Lie, Sensor, Wheels, lds, make_log,
 from tests.helpers.made_logs import arena, office_plan
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.sensor_times import SensorTimes
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
-from turtlebag.pipeline.slam.sensors.turn_comparison import (
-    DELAYS_S,
-    Timing,
-    Turns,
-    compared_turns,
-    delay_of,
-    in_step,
-)
+from turtlebag.pipeline.slam.sensors.corrected import in_step
+from turtlebag.pipeline.slam.times.timing import Timing, compared_times
+from turtlebag.pipeline.slam.times.turn_comparison import DELAYS_S, Turns, delay_of
 
 ROUTE = np.array(
     [(14.7, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5), (14.7, 7.0)]
@@ -62,6 +58,11 @@ def late(recording, seconds):
     return replace(recording, T_odom_base=stream.at(recording.stamps_ns - ns), odometry=moved)
 
 
+def compared(recording):
+    """What the comparison of times corrects."""
+    return compared_times(recording)._replace(times=SensorTimes())
+
+
 @pytest.mark.parametrize(
     ("side", "late_s", "told"), [(0, 0.0, (0.0, False)), (0, -0.3, (-0.3, False)), (1, 0.1, (0.0, True))]
 )
@@ -75,9 +76,9 @@ def test_odometry_is_late_or_turned_over_by_the_delay_at_which_all_turns_agree(s
 @pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
 def test_a_delay_is_found_and_undone(turning, seconds):
     recording = late(turning.recording, seconds)
-    timing = compared_turns(recording)
+    timing = compared(recording)
     found = timing.late_s
-    assert timing == (pytest.approx(seconds, abs=0.03), False, None, True)
+    assert timing[:4] == (pytest.approx(seconds, abs=0.03), False, None, True)
     fixed = in_step(recording, timing)
     inside = slice(10, -10)  # beyond its ends the odometry is held
     expected = turning.recording.T_odom_base[inside]
@@ -92,29 +93,29 @@ def test_a_delay_is_found_and_undone(turning, seconds):
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.4, -0.4, 0.8])
 def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds):
-    assert compared_turns(late(paired.recording, seconds))[0] == pytest.approx(seconds, abs=0.06)
+    assert compared(late(paired.recording, seconds))[0] == pytest.approx(seconds, abs=0.06)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("log", ["turning", "paired"])
 def test_odometry_in_time_stays_as_it_is(log, request):
     recording = request.getfixturevalue(log).recording
-    assert compared_turns(recording) == IN_STEP
+    assert compared(recording) == IN_STEP
     assert in_step(recording, IN_STEP) is recording
-    assert compared_turns(replace(recording, T_odom_base=None, odometry=None)) == IN_STEP
-    assert compared_turns(late(recording, 0.02)) == IN_STEP
+    assert compared(replace(recording, T_odom_base=None, odometry=None)) == IN_STEP
+    assert compared(late(recording, 0.02)) == IN_STEP
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["freeze", "spin", "jump", "reverse"])
 def test_odometry_that_lies_is_not_called_late(kind):
     log = drive(sick(180, 30.0), lies=tuple(Lie(kind, start, 2.0) for start in (5.0, 14.0, 28.0)))
-    assert compared_turns(log.recording) == IN_STEP
+    assert compared(log.recording) == IN_STEP
 
 
 def test_a_robot_that_never_turns_shows_no_delay():
     log = drive(replace(lds(), range_max=8.0), route=np.array([(10.0, 7.0), (26.0, 7.0)]))
-    assert compared_turns(late(log.recording, 0.5)) == IN_STEP
+    assert compared(late(log.recording, 0.5)) == IN_STEP
 
 
 def test_odometry_that_jumps_by_as_much_as_it_turns_is_its_own():
@@ -123,25 +124,21 @@ def test_odometry_that_jumps_by_as_much_as_it_turns_is_its_own():
     steps = log.recording.T_odom_base.steps()
     steps[12::40] += [1.0, 1.0, 1.5]
     jumpy = SE2.from_array(integrate(log.recording.T_odom_base.xyt[0], steps))
-    assert compared_turns(replace(log.recording, T_odom_base=jumpy, odometry=None)) == IN_STEP
+    assert compared(replace(log.recording, T_odom_base=jumpy, odometry=None)) == IN_STEP
 
 
 def test_the_odometry_of_another_drive_is_known_by_its_turns():
     log = drive(replace(lds(), range_max=8.0), route=LONG[:3])
     own = log.recording.T_odom_base
     for other in (own[::-1], SE2(np.zeros_like(own.xyt)), SE2(own.xyt * [1.0, 1.0, -0.5])):
-        assert compared_turns(replace(log.recording, T_odom_base=other, odometry=None)) == (
-            0.0,
-            False,
-            None,
-            False,
-        )
+        timing = compared(replace(log.recording, T_odom_base=other, odometry=None))
+        assert timing == Timing(alike=False)
     late_and_off = late(log.recording, 0.4)
-    assert compared_turns(late_and_off).alike
+    assert compared(late_and_off).alike
     # scans a second apart lose turns when they are tracked alone
     slow, thin = log.recording, slice(None, None, 5)
     slow = replace(slow, stamps_ns=slow.stamps_ns[thin], ranges=slow.ranges[thin], odometry=None)
-    assert compared_turns(replace(slow, T_odom_base=own[::-1][thin])).alike
+    assert compared(replace(slow, T_odom_base=own[::-1][thin])).alike
 
 
 @pytest.mark.slow
@@ -150,35 +147,11 @@ def test_the_odometry_of_another_drive_is_known_by_its_turns():
 def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, request):
     recording = request.getfixturevalue(log).recording
     wrong = late(replace(recording, lidar=recording.lidar.turned_over()), seconds)
-    timing = compared_turns(wrong)
-    assert timing == (pytest.approx(seconds, abs=0.06), True, None, True)
+    timing = compared(wrong)
+    assert timing[:4] == (pytest.approx(seconds, abs=0.06), True, None, True)
     fixed = in_step(wrong, timing)
     np.testing.assert_allclose(fixed.lidar.angles, recording.lidar.angles)
     assert fixed.notes[0].startswith("scans and odometry turn in opposite directions")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("said", "seconds", "over"),
-    [("reversed", 0.0, False), ("reversed", 0.4, True), ("none", 0.4, False), ("none", 0.0, True)],
-)
-def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(turning_long, said, seconds, over):
-    recording = late(turning_long.recording, seconds)
-    true = recording.lidar.time_increment
-    lidar = replace(recording.lidar, time_increment=-true if said == "reversed" else 0.0)
-    wrong = replace(recording, lidar=lidar.turned_over() if over else lidar)
-    timing = compared_turns(wrong)
-    assert timing == (pytest.approx(seconds, abs=0.06), over, pytest.approx(true, rel=0.01), True)
-    fixed = in_step(wrong, timing)
-    assert fixed.lidar.time_increment == pytest.approx(true, rel=0.01)
-    assert ("in the opposite direction" in fixed.notes[0]) is (said == "reversed")
-
-
-@pytest.mark.slow
-def test_a_lidar_that_sees_at_once_is_not_taken_for_one_that_turns():
-    recording = drive(replace(lds(), range_max=8.0, time_increment=0.0)).recording
-    stream = Trajectory(recording.stamps_ns, recording.T_odom_base)
-    assert compared_turns(replace(recording, odometry=stream)) == IN_STEP
 
 
 @pytest.mark.slow
@@ -187,7 +160,7 @@ def test_scans_a_second_apart_are_no_judge_of_how_a_lidar_sweeps():
     slow = slice(None, None, 5)
     odometry = log.T_odom_base[slow]
     recording = replace(log, stamps_ns=log.stamps_ns[slow], ranges=log.ranges[slow], T_odom_base=odometry)
-    assert compared_turns(recording) == IN_STEP
+    assert compared(recording) == IN_STEP
 
 
 @pytest.mark.slow

@@ -6,12 +6,19 @@ import gtsam
 import numpy as np
 import pytest
 
-from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.check import uncertainty as map_uncertainty
-from turtlebag.pipeline.slam.check.uncertainty import ASKED, shared_errors
+from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.pipeline.slam.check.uncertainty import (
+    ASKED,
+    RANGE_SHARE,
+    SPREAD,
+    STAMP_S,
+    Uncertainty,
+    scan_covariances,
+    shared_errors,
+)
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
-from turtlebag.pipeline.slam.graph.drift import HONEST
-from turtlebag.pipeline.slam.graph.pose_graph import noise_model
+from turtlebag.pipeline.slam.graph.drift import read_at
+from turtlebag.pipeline.slam.graph.pose_graph import noise_model, optimise
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import Track
 
@@ -30,7 +37,7 @@ def position_sigmas(T, constraints, covariance=None, **most):
     shared = ()
     if covariance is not None:
         shared = shared_errors(track_of(T, Calibration(covariance=covariance)), constraints, np.zeros(len(T)))
-    return map_uncertainty.position_sigmas(T, constraints, shared, **most)
+    return Uncertainty.of(T, constraints, shared).position_sigmas(**most)
 
 
 def round_trip(n=30, radius=8.0, closed=False, sigmas=(0.02, 0.01, 0.01)):
@@ -47,7 +54,7 @@ def drawn_by_gtsam(T, constraints, rng, maps=4000):
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*T.xyt[0]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-9)))
     for c in constraints:
-        surer = replace(c, information=c.information / HONEST)
+        surer = replace(c, information=c.information / SPREAD[c.kind])
         graph.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise_model(surer)))
     for k, pose in enumerate(T.xyt):
         values.insert(k, gtsam.Pose2(*pose))
@@ -104,7 +111,7 @@ def test_long_logs_are_asked_at_some_keys():
 
 @pytest.mark.parametrize("closed", [False, True])
 def test_wheels_whose_size_is_open_leave_the_size_of_what_they_alone_measured_open(closed):
-    T, constraints = round_trip(200, closed=closed, sigmas=(1e-4, 1e-4, 1e-4))
+    T, constraints = round_trip(200, closed=closed, sigmas=(1e-5, 1e-5, 1e-5))
     wheels = np.diag([0.02, 1e-9, 1e-9]) ** 2
     by_wheels = [
         replace(c, kind=Kind.WHEELS) if c.kind == "step" and c.j == c.i + 1 else c for c in constraints
@@ -112,7 +119,10 @@ def test_wheels_whose_size_is_open_leave_the_size_of_what_they_alone_measured_op
     # the circle of 8 m is 2 % larger or smaller
     assert position_sigmas(T, by_wheels, wheels)[1] == pytest.approx(np.full(50, 0.16), rel=0.03)
     assert position_sigmas(T, by_wheels)[1].max() < 0.01
-    assert position_sigmas(T, constraints, wheels)[1].max() < 0.01
+    # and where scans measured it, it is as large as their ranges
+    assert position_sigmas(T, constraints, wheels)[1] == pytest.approx(
+        np.full(50, 8.0 * RANGE_SHARE), rel=0.05
+    )
 
 
 def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
@@ -151,3 +161,42 @@ def test_one_scan_is_where_it_is():
     asked, sigmas = position_sigmas(SE2(np.zeros((1, 3))), [])
     assert asked.tolist() == [0]
     assert sigmas.tolist() == [0.0]
+
+
+def test_ellipses_of_95_percent_hold_as_many_of_the_maps_that_are_drawn():
+    T, constraints = round_trip(12, closed=True)
+    rng, spread = np.random.default_rng(2), SPREAD[Kind.STEP]
+    covariance = Uncertainty.of(T, constraints).keys()
+    covariance = read_at(covariance, T.xyt - [*T.xy.mean(axis=0), 0.0])
+    np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), atol=1e-12)
+    assert (np.linalg.eigvalsh(covariance[1:]) > 0.0).all()
+    assert np.abs(covariance[0]).max() < 1e-9
+    held = []
+    for _ in range(200):
+        noise = rng.standard_normal((len(constraints), 3)) * np.sqrt(spread) * [0.02, 0.01, 0.01]
+        drawn = [
+            replace(c, T_i_j=(SE2(c.T_i_j) @ SE2(off)).xyt) for c, off in zip(constraints, noise, strict=True)
+        ]
+        error = optimise(T, drawn).xyt - T.xyt
+        error[:, 2] = wrap(error[:, 2])
+        held.append([error[k] @ np.linalg.solve(covariance[k], error[k]) < 7.815 for k in (3, 6, 9)])
+    assert ((np.mean(held, axis=0) >= 0.9) & (np.mean(held, axis=0) <= 0.99)).all()
+
+
+def test_scans_between_keys_are_less_certain_than_keys_and_their_stamps_are_late_along_the_way():
+    n = 21
+    T = SE2.from_xyt(0.1 * np.arange(n), np.zeros(n), np.zeros(n))
+    track = replace(
+        track_of(T, Calibration()), keys=np.arange(0, n, 5), information=np.tile(1e6 * np.eye(3), (n, 1, 1))
+    )
+    T_keys = T[track.keys]
+    steps = [Constraint(k, k + 1, step, 1e6 * np.eye(3), Kind.STEP) for k, step in enumerate(T_keys.steps())]
+    stamps = (np.arange(n) * 2e8).astype(np.int64)
+    found = scan_covariances(Uncertainty.of(T_keys, steps), track, T, stamps)
+    assert found.shape == (n, 3, 3)
+    assert not found[0].any()
+    assert (np.linalg.eigvalsh(found[1:]) > 0.0).all()
+    across = found[:, 1, 1]
+    assert (across[[7, 12]] > across[[5, 10]]).all()
+    late = found[:, 0, 0] - across
+    np.testing.assert_allclose(late[[5, 10]], (0.5 * STAMP_S) ** 2, rtol=0.3)

@@ -8,6 +8,7 @@ import pytest
 from tests.helpers.slam_rooms import random_poses
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import ImuLog
+from turtlebag.pipeline.slam.graph.pose_graph import chain
 from turtlebag.pipeline.slam.odometry import calibration as calib
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.sensors import gyro_slip as gyros
@@ -25,7 +26,7 @@ def test_baselines_pairs_and_chains_are_sums_along_the_way():
             expected.append((i, ends[0]))
     pairs = calib.baseline_pairs(steps)
     assert [tuple(p) for p in pairs] == expected
-    chained = calib.chain(steps, pairs)
+    chained = chain(steps, pairs)
     for (i, j), found in zip(pairs, chained, strict=True):
         T = SE2.identity()
         for step in steps[i:j]:
@@ -46,7 +47,7 @@ def test_shares_are_found_from_matches_and_lies_outvoted():
     told[:, 2] = (true[:, 2] - 0.01 * told[:, 0]) / 0.96
     np.testing.assert_allclose(wanted.corrected(told), true, atol=1e-12)
     pairs = calib.baseline_pairs(told)
-    matched = calib.chain(true, pairs)
+    matched = chain(true, pairs)
     lies = rng.random(len(pairs)) < 0.15
     matched[lies, 0] += 0.5
     matched += rng.normal(0.0, 0.002, matched.shape)
@@ -55,10 +56,10 @@ def test_shares_are_found_from_matches_and_lies_outvoted():
     assert (found.scale, found.turn_scale, found.turn_per_m) == pytest.approx((1.03, 0.96, 0.01), abs=2e-3)
     assert found.pairs == np.sum(~lies)
     assert np.all(found.noise < [0.01, 0.01, 0.006])
-    jacobian = calib.shares_jacobian(told, pairs, calib.chain(told, pairs))
+    jacobian = calib.shares_jacobian(told, pairs, chain(told, pairs))
     for k, moved in enumerate(np.eye(3) * 1e-3):
-        end = calib.chain(Calibration(1 + moved[0], 1 + moved[1], moved[2]).corrected(told), pairs)
-        expected = (SE2(calib.chain(told, pairs)).inverse() @ SE2(end)).xyt / 1e-3
+        end = chain(Calibration(1 + moved[0], 1 + moved[1], moved[2]).corrected(told), pairs)
+        expected = (SE2(chain(told, pairs)).inverse() @ SE2(end)).xyt / 1e-3
         np.testing.assert_allclose(jacobian[:, :, k], expected, atol=0.02)
 
 

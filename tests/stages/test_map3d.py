@@ -51,7 +51,7 @@ def files(folder):
 @pytest.mark.slow
 def test_a_bag_of_clouds_alone_is_mapped_in_3d_and_again_to_the_same_bytes(bag, drive, tmp_path):
     assert build_map(MapInputs(Source(bag)), Output(tmp_path / "a"), explain=True) == 0
-    source = Source(bag, topic="/velodyne_points")
+    source = Source(bag, topics=("/velodyne_points",))
     assert build_map(MapInputs(source), Output(tmp_path / "b"), explain=True) == 0
     assert files(tmp_path / "a") == files(tmp_path / "b")
     names = (
@@ -76,5 +76,5 @@ def test_planar_scans_come_first_and_a_topic_chooses(bag, drive, tmp_path):
     path = write_foreign(tmp_path / "both", both)
     assert build_map(MapInputs(Source(path)), Output(tmp_path / "flat")) == 0
     assert "map.ply" not in files(tmp_path / "flat")
-    assert build_map(MapInputs(Source(path, topic="/points")), Output(tmp_path / "deep")) == 0
+    assert build_map(MapInputs(Source(path, topics=("/points",))), Output(tmp_path / "deep")) == 0
     assert "map.ply" in files(tmp_path / "deep")

@@ -7,40 +7,49 @@ Lost scans: poses constrained by neither walls nor odometry. Impossible motions:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S, without_gap
+from turtlebag.datasets.motion import FASTER, GAP_S, gap_s, way_and_turn
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.base import Verdict
-from turtlebag.pipeline.slam.check.uncertainty import position_sigmas, shared_errors
+from turtlebag.pipeline.slam.check.p_bad import Term, doublings, p_bad, reasons
+from turtlebag.pipeline.slam.check.size import Size, size_of
+from turtlebag.pipeline.slam.check.uncertainty import Uncertainty
+from turtlebag.pipeline.slam.graph.constraints import Kind
+from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
-from turtlebag.pipeline.slam.sensors.turn_comparison import odometry_stream, usual_period
 from turtlebag.pipeline.slam.sessions import Session
+from turtlebag.pipeline.slam.times.stretches import odometry_stream, usual_period
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
 # At most this share of the places, or of the scans, may be wrong; and at most this many key scans, however
 # long the log, may contradict most of their revisits.
 MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
-# If the standard deviation of some scans by the graph is larger than this [m], the worst of them may be 0.2 m
-# off: the true error was 1.4 to 6 times as large (ten logs of 20 m to 2 km with known poses).
-LEAST_SURE_M = 0.1
+# Usual for good maps: the largest standard deviation of a key scan [m], the mean robust residual of pairs.
+# Drives shorter than this [m] tell nothing by their length.
+SURE_M, USUAL_APART = 0.05, 0.04
+LEAST_WAY_M = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCheck(Verdict):
-    """The numbers of the check and the reasons for doubt; `violations` is (n, 3): key i, key j, the share of
-    points that violate the other's free space."""
+    """The numbers of the check and the reasons for doubt; `p_bad` is the probability that the map is bad, and
+    `terms` what of it each kind of evidence gives. `violations` is (n, 3): key i, key j, the share of points
+    that violate the other's free space."""
 
+    p_bad: float
     revisits: int
     mean_violation: float
     bad_places: float
@@ -49,65 +58,166 @@ class SelfCheck(Verdict):
     map_entropy_bits: float
     wall_share: float
     violations: Array
+    terms: dict[str, float]
     reasons: tuple[str, ...]
+    size: Size = field(default_factory=Size)
+
+    def as_metrics(self) -> dict[str, Any]:
+        """The numbers, the terms, and `scale`: how well the map's size is known."""
+        return {**super().as_metrics(), "terms": self.terms, **self.size.as_metrics()}
 
 
-def check_map(session: Session, T_map_base: SE2, certainty: Certainty) -> SelfCheck:
-    """Check a finished map with these poses of all scans (n,). `certainty` is the grid's."""
-    recording, evidence, breaks = session.recording, session.evidence, session.unconfirmed
+def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertainty: Uncertainty) -> SelfCheck:
+    """Check a finished map with these poses of all scans (n,). `certainty` is the grid's, `uncertainty` that
+    of the session's graph."""
     track, T_map_keys = session.track, session.graph.T_map_keys
     pairs = revisits_of(T_map_keys)
     share = free_space_violations(*session.key_scans, T_map_keys.xyt, pairs)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
-    mean = float(share.mean()) if len(share) else 0.0
-    bad = float(np.mean(share > BAD_SHARE)) if len(share) else 0.0
-    lost = np.flatnonzero(track.usable & ~track.fits)
-    reasons = []
+    asked, sigmas = uncertainty.position_sigmas()
+    terms = [
+        *_contradicted(T_map_keys, pairs, share),
+        *_scans(track),
+        *_breaks(session),
+        *_merged(session.recording),
+        *_motions(session, T_map_base),
+        *_uncertain(T_map_keys.xy[asked[sigmas.argmax()]], float(sigmas.max()), session.evidence),
+        *_walls(session),
+        *_way(session, T_map_base),
+    ]
+    return SelfCheck(
+        p_bad(terms),
+        len(share),
+        float(share.mean()) if len(share) else 0.0,
+        float(np.mean(share > BAD_SHARE)) if len(share) else 0.0,
+        int(np.count_nonzero(track.usable & ~track.fits)),
+        float(sigmas.max()),
+        certainty.entropy_bits,
+        certainty.wall_share,
+        np.column_stack([pairs, share]),
+        {term.name: round(term.size, 6) for term in terms},
+        reasons(terms),
+        size_of(session.setup),
+    )
+
+
+def _contradicted(T_map_keys: SE2, pairs: NDArray[np.int64], share: Array) -> Iterator[Term]:
+    """Places that two visits saw differently."""
+    if len(share) == 0:
+        return
     alone = contradicted_keys(pairs, share, BAD_SHARE)
-    if bad > MOST_WRONG or len(alone) > MOST_CONTRADICTED:
-        worst = pairs[int(np.argmax(share))]
-        x, y = T_map_keys.xy[worst[0]]
-        reasons.append(
-            f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): "
-            "the map is folded or doubled"
-        )
-    if len(lost) > MOST_WRONG * len(track.usable):
-        many = counted(len(lost), "scan")
-        reasons.append(f"{many} {verb(len(lost), 'does', 'do')} not fit the map (first: scan {lost[0]})")
+    size = max(float(np.mean(share > BAD_SHARE)) / MOST_WRONG, len(alone) / MOST_CONTRADICTED)
+    x, y = T_map_keys.xy[pairs[int(np.argmax(share))][0]]
+    yield Term(
+        "contradicted",
+        size,
+        f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): "
+        "the map is folded or doubled",
+    )
+
+
+def _scans(track: Track) -> Iterator[Term]:
+    """Scans that fit nothing, or have nothing to fit."""
+    many = MOST_WRONG * len(track.usable)
+    lost, empty = np.flatnonzero(track.usable & ~track.fits), int(np.count_nonzero(~track.usable))
+    if len(lost):
+        n, does = counted(len(lost), "scan"), verb(len(lost), "does", "do")
+        yield Term("lost", len(lost) / many, f"{n} {does} not fit the map (first: scan {lost[0]})")
+    if empty:
+        sees = verb(empty, "sees", "see")
+        yield Term("empty", empty / many, f"{counted(empty, 'scan')} {sees} no surface")
+
+
+def _breaks(session: Session) -> Iterator[Term]:
+    """Breaks that nothing bridges, and a log that may be mirrored."""
+    breaks = session.unconfirmed
     if len(breaks):
-        reasons.append(
+        yield Term(
+            "broken",
+            1.0,
             f"{counted(len(breaks), 'break')} where scans are missing, or fit nothing seen before, and "
-            f"nothing confirms the odometry (first: before scan {breaks[0]}): what follows may be misplaced"
+            f"nothing confirms the odometry (first: before scan {breaks[0]}): what follows may be misplaced",
         )
-    if recording.turned_over:
-        reasons.append(
+    if session.recording.turned_over:
+        yield Term(
+            "mirrored",
+            1.0,
             "scans and odometry turn in opposite directions, and there is no gyro to decide: "
-            "if the scans are right, this map is mirrored"
+            "if the scans are right, this map is mirrored",
         )
-    empty = int(np.count_nonzero(~track.usable))
-    if empty > MOST_WRONG * len(track.usable):
-        reasons.append(f"{counted(empty, 'scan')} {verb(empty, 'sees', 'see')} no surface")
-    reasons += _jumps(evidence, T_map_base, _steps_in_gap(recording))
+
+
+def _merged(recording: Recording) -> Iterator[Term]:
+    """Scans of which parts were taken at different times."""
+    if recording.times.apart_s > 0.0:
+        yield Term(
+            "merged",
+            1.0,
+            f"parts of each scan disagree about the motion by up to {recording.times.apart_s:.2f} s (two "
+            "lidars merged without synchronisation?): walls are drawn twice where the robot turns",
+        )
+
+
+def _motions(session: Session, T_map_base: SE2) -> Iterator[Term]:
+    """Jumps and slides that the robot cannot have made, and a clock that went back."""
+    recording, evidence = session.recording, session.evidence
+    for reason in (*_back_in_time(evidence), *_jumps(evidence, T_map_base, _steps_in_gap(recording))):
+        yield Term("moved", 1.0, reason)
+        return
     slid = slides(recording, T_map_base, evidence.borders)
     if len(slid):
-        reasons.append(
-            f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
+        yield Term(
+            "moved",
+            1.0,
+            f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): "
+            "the map may be torn there",
         )
-    constraints, unobserved_m = session.graph.constraints, evidence.unobserved_m
-    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unobserved_m))
-    sigma = float(sigmas.max())
-    if sigma > LEAST_SURE_M:
-        x, y = T_map_keys.xy[asked[sigmas.argmax()]]
-        missed = unobserved_m.sum()
-        blind = f"; scans and odometry missed {missed:.1f} m of the path" if missed > 0.0 else ""
-        reasons.append(
-            f"the pose graph is uncertain near x {x:.1f}, y {y:.1f} by {sigma:.2f} m (one standard "
-            f"deviation): the map may be bent there{blind}"
+
+
+def _uncertain(xy: Array, sigma: float, evidence: Evidence) -> Iterator[Term]:
+    """A graph that leaves a key scan open, whose place is `xy` (2,)."""
+    missed = evidence.unobserved_m.sum()
+    blind = f"; scans and odometry missed {missed:.1f} m of the path" if missed > 0.0 else ""
+    yield Term(
+        "uncertain",
+        doublings(sigma, SURE_M),
+        f"the pose graph is uncertain near x {xy[0]:.1f}, y {xy[1]:.1f} by {sigma:.2f} m (one standard "
+        f"deviation): the map may be bent there{blind}",
+    )
+
+
+def _walls(session: Session) -> Iterator[Term]:
+    """Walls that are thicker than the lidar's noise makes them: scans that overlap do not fit together."""
+    pairs = [c for c in session.graph.constraints if c.kind is Kind.PAIR]
+    if pairs:
+        apart = np.log1p(mahalanobis(session.graph.T_map_keys, pairs) / 3.0)
+        i, mean = int(np.argmax(apart)), float(np.mean(apart))
+        x, y = session.graph.T_map_keys.xy[pairs[i].i]
+        yield Term(
+            "thick",
+            doublings(mean, USUAL_APART),
+            f"scans of the same place do not fit together (worst near x {x:.1f}, y {y:.1f}), and walls are "
+            "thick: are the lidar's times and angles right?",
         )
-    violations = np.column_stack([pairs, share])
-    decided = certainty.entropy_bits, certainty.wall_share
-    return SelfCheck(len(share), mean, bad, len(lost), sigma, *decided, violations, tuple(reasons))
+
+
+def _way(session: Session, T_map_base: SE2) -> Iterator[Term]:
+    """Much more or less way by the odometry than by the map, or hardly any, and nothing to confirm that."""
+    by_map = float(way_and_turn(T_map_base.steps())[:, 0].sum())
+    if session.recording.T_odom_base is not None:
+        driven = float(way_and_turn(session.recording.T_odom_base.steps())[:, 0].sum())
+        if max(by_map, driven) > LEAST_WAY_M:
+            more = doublings(max(by_map, driven), 1.5 * max(min(by_map, driven), 0.1))
+            yield Term(
+                "still", more, f"the robot drove {by_map:.1f} m by the map, {driven:.1f} m by the odometry"
+            )
+    elif by_map < LEAST_WAY_M and len(T_map_base) > 1:
+        yield Term(
+            "still",
+            doublings(LEAST_WAY_M, max(by_map, 0.1)),
+            "the scans hardly change, and no odometry that is used says that the robot stood still",
+        )
 
 
 def revisits_of(T_map_keys: SE2) -> NDArray[np.int64]:
@@ -133,6 +243,20 @@ def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
             many, first = counted(len(jumped), "jump"), jumped[0, 1]
             return [f"{many} farther than the robot can drive (first: to scan {first})"]
     return []
+
+
+def _back_in_time(evidence: Evidence) -> list[str]:
+    """Whether the clock went back within a log by more than a gap: scans and odometry may not belong to each
+    other from there on. Shorter steps back are messages out of order."""
+    waits = seconds(np.diff(evidence.stamps_ns))
+    back = 1 + np.flatnonzero(waits < -gap_s(waits))
+    back = np.setdiff1d(back, evidence.borders)
+    if not len(back):
+        return []
+    return [
+        f"the stamps go back by {-waits[back[0] - 1]:.1f} s (first: at scan {back[0]}): "
+        "scans and odometry may be of different times from there on"
+    ]
 
 
 def _steps_in_gap(recording: Recording) -> int:
@@ -162,8 +286,9 @@ def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) ->
 
 
 def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of these stamps (n,) are followed by the next without a gap, (n - 1,)."""
-    return without_gap(seconds(np.diff(stamps_ns)))
+    """Which of these stamps (n,) are followed by the next soon enough for a single arc, (n - 1,)."""
+    waits = seconds(np.diff(stamps_ns))
+    return np.asarray((waits > 0.0) & (waits < GAP_S))
 
 
 def _sideways(T_map_base: SE2) -> Array:

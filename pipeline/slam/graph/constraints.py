@@ -81,8 +81,8 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """The graph of a session: key poses, constraints (those over bridged breaks without weight), records of
-    all loop candidates, and the breaks of the log that no loop bridges (keys - 1,)."""
+    """The graph of a session: key poses, constraints (those of scans over bridged breaks without weight),
+    records of all loop candidates, and the breaks of the log that no loop bridges (keys - 1,)."""
 
     T_map_keys: SE2
     constraints: list[Constraint]

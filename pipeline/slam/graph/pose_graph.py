@@ -98,6 +98,25 @@ GTSAM = Gtsam()
 optimise = GTSAM.optimise
 
 
+def marginals(
+    n: int, i: NDArray[np.int64], j: NDArray[np.int64], information: Array, held: float = HELD
+) -> Array:
+    """Covariances (n, 3, 3) of n vectors whose differences, j (k,) less i (k,), are known with information
+    (k, 3, 3), and the first of them to a standard deviation `held`."""
+    import gtsam
+
+    unit = gtsam.noiseModel.Unit.Create(3)
+    roots = np.linalg.cholesky(information).transpose(0, 2, 1)
+    graph, zeros = gtsam.GaussianFactorGraph(), gtsam.VectorValues()
+    graph.add(gtsam.JacobianFactor(0, np.eye(3) / held, np.zeros(3), unit))
+    for a, b, root in zip(i.tolist(), j.tolist(), roots, strict=True):
+        graph.add(gtsam.JacobianFactor(a, -root, b, root, np.zeros(3), unit))
+    for k in range(n):
+        zeros.insert(k, np.zeros(3))
+    found = gtsam.Marginals(graph, zeros)
+    return np.array([found.marginalCovariance(k) for k in range(n)])
+
+
 def positive_definite(information: Array) -> Array:
     """Information (..., k, k) with a negligible one added, so that it has an inverse."""
     return information + FLOOR[information.shape[-1]]
@@ -158,3 +177,12 @@ def _cauchy(width: float) -> Any:
     import gtsam
 
     return gtsam.noiseModel.mEstimator.Cauchy.Create(width)
+
+
+def chain(steps: Array, pairs: NDArray[np.int64]) -> Array:
+    """Motion (n, 3) over each pair of keys, composed of steps."""
+    yaw = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    move = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
+    T = SE2.from_array(np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(move, axis=0)]), yaw]))
+    return (T[pairs[:, 0]].inverse() @ T[pairs[:, 1]]).xyt

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
-from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop, firm
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop, firm
 from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency, support
@@ -72,7 +72,7 @@ class PlaceRecognitionConfig(Settings):
 @dataclass(frozen=True, eq=False)
 class Recognition:
     """The result: poses with the parts joined, loops, the record of all candidates, the part of the log that
-    each key belongs to (keys,), and the broken steps that have no weight any more (keys - 1,)."""
+    each key belongs to (keys,), and the broken steps whose scans have no weight any more (keys - 1,)."""
 
     T_map_keys: SE2
     loops: list[Constraint]
@@ -111,9 +111,14 @@ def recognise_places(
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
-    """The steps, without weight over bridged breaks, because nothing observed them."""
+    """The steps, without the scans over bridged breaks: such a scan fitted nothing for certain. The wheels
+    stay, under their kernel: they bridge a gap as they did before it, and give way where loops contradict
+    them."""
     return [
-        replace(c, information=np.zeros((3, 3))) if c.j == c.i + 1 and released[c.i] else c for c in steps
+        replace(c, information=np.zeros((3, 3)))
+        if c.kind is not Kind.WHEELS and c.j == c.i + 1 and released[c.i]
+        else c
+        for c in steps
     ]
 
 
@@ -304,9 +309,9 @@ def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
 def joined_parts(
     breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) without weight,
-    because their ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken
-    step that nothing contradicts still connects."""
+    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) whose
+    ends are connected otherwise. `joins` are pairs of keys recognised as one place. A broken step that
+    nothing contradicts still connects."""
     segment = breaks.segments()
     part = np.arange(segment[-1] + 1)
     for i, j in joins:

@@ -73,19 +73,20 @@ def violation_shares(
 ) -> Array:
     """Per pair: of i's points that agree with j or violate its free space, the share that violates it; NaN
     when fewer than 20."""
-    points, starts, table, origin = clouds.points, clouds.starts, clouds.table, clouds.origin
-    n_bins = table.shape[1]
-    scale = n_bins / (2.0 * math.pi)
+    points, starts, table = clouds.points, clouds.starts, clouds.table
     out = np.full(len(pairs), np.nan)
     for k in range(len(pairs)):
         a, b = pairs[k, 0], pairs[k, 1]
+        lidar = clouds.sensor[keys[b]]
+        n_bins, ox, oy = clouds.bins[lidar], clouds.origin[lidar, 0], clouds.origin[lidar, 1]
+        scale = n_bins / (2.0 * math.pi)
         tx, ty, dyaw = relative_pose(poses, b, a)
         c, s = math.cos(dyaw), math.sin(dyaw)
         agreeing, violating = 0, 0
         for r in range(starts[keys[a]], starts[keys[a] + 1]):
             x = tx + c * points[r, 0] - s * points[r, 1]
             y = ty + s * points[r, 0] + c * points[r, 1]
-            ex, ey = x - origin[0], y - origin[1]
+            ex, ey = x - ox, y - oy
             distance = math.sqrt(ex * ex + ey * ey)
             bin_ = int((math.atan2(ey, ex) + math.pi) * scale)
             half = min(6, int(wall / max(distance, wall) * scale) + 1)
@@ -96,7 +97,7 @@ def violation_shares(
                     continue
                 dx, dy = points[row, 0] - x, points[row, 1] - y
                 nearest2 = min(nearest2, dx * dx + dy * dy)
-                dx, dy = points[row, 0] - origin[0], points[row, 1] - origin[1]
+                dx, dy = points[row, 0] - ox, points[row, 1] - oy
                 shortest2 = min(shortest2, dx * dx + dy * dy)
                 seen += 1
             if nearest2 < wall * wall:

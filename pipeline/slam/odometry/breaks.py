@@ -14,18 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import GAP_S
+from turtlebag.datasets.motion import gap_s, gaps_between
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.track import Track
 
-# A gap is at least this many usual periods long.
-GAP_PERIODS = 8.0
-STAMPS_NEAR = 12
-# After a wait this short, odometry alone may determine a blind direction, because it says nothing impossible.
-# After a longer one it may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back),
-# and a scan aligned from its prediction agrees with it in any case: most of the scan must then lie on known
-# surfaces.
-SHORT_S, SURE_OVERLAP = 5.0, 0.8
+# After a wait shorter than this many of the shortest gaps, odometry alone may determine a blind direction,
+# because it says nothing impossible. After a longer one it may be metres off (MIT CSAIL, 20 s without a
+# scan: 1.6 m after 19 m there and back), and a scan aligned from its prediction agrees with it in any case:
+# most of the scan must then lie on known surfaces.
+SHORT_GAPS, SURE_OVERLAP = 2.5, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +71,7 @@ def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
     """Judge every step between the key scans of a track."""
     T, keys, stamps_ns = track.T_track_base, track.keys, evidence.stamps_ns
     sure = ~evidence.blind & (track.overlap >= SURE_OVERLAP)
+    short_s = SHORT_GAPS * gap_s(seconds(np.diff(stamps_ns)))
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     # the first scan that fits nothing seen just before follows a gap, whatever the stamps say
@@ -88,26 +86,10 @@ def breaks_of(track: Track, evidence: Evidence) -> TrackBreaks:
         agreed = evidence.agreed(T, before, after) and not fast
         wait = seconds(int(stamps_ns[after] - stamps_ns[before]))
         fits = track.fits[after]
-        if not (agreed and fits and (wait < SHORT_S or sure[after])):
+        if not (agreed and fits and (wait < short_s or sure[after])):
             broken[step] = True
             contradicted[step] |= not agreed
             alone[step] |= not fits
             gaps.append((before, after))
     between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
     return TrackBreaks(broken, contradicted, alone, between)
-
-
-def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Pairs (n, 2) of successive scans that `saw` something, with a long time between them in which none
-    did."""
-    usable = np.flatnonzero(saw)
-    stamps = seconds(stamps_ns[usable])
-    if len(stamps) < 2:
-        return np.zeros((0, 2), dtype=np.int64)
-    # stamps out of order make false gaps, so the latest before is compared with the earliest after
-    padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
-    near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
-    waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
-    usual = float(np.median(np.abs(np.diff(stamps))))
-    long = np.flatnonzero(waits > max(GAP_S, GAP_PERIODS * usual))
-    return np.stack([usable[long], usable[long + 1]], axis=1)

@@ -1,25 +1,25 @@
 """Odometry calibration by the scans: systematic errors of the wheels, and the remaining noise.
 
-Wheel radius and separation are never exactly as configured, so odometry is wrong by nearly
-constant shares (Censi et al. 2013). Where scans see all directions they measure these shares; where they
-are blind - a bare corridor longer than the lidar's range - only odometry is left, and the calibration
-pays off: 1 % of wheel radius is 10 cm on 10 m.
+Wheel radius and separation are never exactly as configured, so odometry is wrong by nearly constant shares
+(Censi et al. 2013), which scans measure; where these are blind, as in a bare corridor, only odometry is left,
+and 1 % of wheel radius is 10 cm on 10 m.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.robust import cauchy_weight, sigma_by_median
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
+from turtlebag.pipeline.slam.graph.pose_graph import chain, positive_definite
 from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
-from turtlebag.pipeline.slam.scans.pairs import PairMatches, match_pairs
+from turtlebag.pipeline.slam.scans.pairs import match_pairs
 
 # Key scans are compared over a baseline, this much driving [m] or a radian of turning: far enough for scale
 # errors to exceed the noise of a match, near enough for the views to overlap.
@@ -59,14 +59,6 @@ class Calibration:
         out[..., 2] = self.turn_scale * steps[..., 2] + self.turn_per_m * steps[..., 0]
         return out
 
-    def effects(self, steps: Array) -> Array:
-        """How far each error moves the ends of corrected steps (n, 3), in the ends' frames (n, 3, 3)."""
-        x, y, yaw = steps.T
-        out = np.zeros((len(steps), 3, 3))
-        out[:, 0, 0], out[:, 1, 0] = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
-        out[:, 2, 1], out[:, 2, 2] = yaw, x
-        return out
-
     def information(self, steps: Array) -> Array:
         """Information (..., 3, 3) of corrected steps (..., 3), errors growing as a random walk."""
         sigma = self.noise * np.sqrt(baselines(steps))[..., None] + 0.3 * LEAST_NOISE
@@ -85,14 +77,8 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     of wrong odometry are down-weighted (Cauchy kernel).
     """
     steps = T_odom_keys.steps()
-    pairs = baseline_pairs(steps)
-    if len(pairs) == 0:
-        return Calibration()
-    found = _matched(clouds, keys, T_map_keys, pairs)
-    good = found.possible
-    if not good.any():
-        return Calibration()
-    return fit_shares(steps, pairs[good], found.T_i_j[good], match_information(found.information[good]))
+    pairs, matched, information = matched_pairs(clouds, keys, T_map_keys, steps)
+    return fit_shares(steps, pairs, matched, information) if len(pairs) else Calibration()
 
 
 def baselines(steps: Array) -> Array:
@@ -108,10 +94,12 @@ def baseline_pairs(steps: Array) -> NDArray[np.int64]:
     return np.stack([i, j[i]], axis=1)
 
 
-def _matched(
-    clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, pairs: NDArray[np.int64]
-) -> PairMatches:
-    """Each pair (i, j) by its two scans alone."""
+def matched_pairs(
+    clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, steps: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Pairs (n, 2) of keys a baseline apart whose two scans match; T_i_j (n, 3), information (n, 3, 3)."""
+    if not len(pairs := baseline_pairs(steps)):
+        return pairs, np.zeros((0, 3)), np.zeros((0, 3, 3))
     i, j = pairs[:, 0], pairs[:, 1]
     T_i_j = (T_map_keys[i].inverse() @ T_map_keys[j]).xyt
     # every pair gets its own key scans, so that each moves on by its own match
@@ -122,30 +110,45 @@ def _matched(
         poses[1::2] = T_i_j
         found = match_pairs(clouds, own_keys, SE2(poses), own_pairs, limits)
         T_i_j = found.T_i_j
-    return found
+    good = found.possible
+    return pairs[good], T_i_j[good], match_information(found.information[good])
 
 
 def fit_shares(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
-    """Ridge regression of the three errors, iteratively reweighted; noise from the residuals, then once more
-    with it."""
-    odometry = chain(steps, pairs)
+    """The three errors of the odometry by the motions (n, 3) that the scans show over `pairs`."""
+    odometry, prior = chain(steps, pairs), ODOMETRY_SHARE**-2 * np.eye(3)
     error = (SE2(odometry).inverse() @ SE2(matched)).xyt
-    jacobian = shares_jacobian(steps, pairs, odometry)
-    noise, shares = USUAL_NOISE, np.zeros(3)
+    shares = fit(error, shares_jacobian(steps, pairs, odometry), information, prior)
+    scale, turn_scale, turn_per_m = (shares.values + np.array([1.0, 1.0, 0.0])).tolist()
+    used = int(np.count_nonzero(shares.trust > 0.5))
+    return Calibration(scale, turn_scale, turn_per_m, shares.noise, used, shares.covariance)
+
+
+class Fit(NamedTuple):
+    """Parameters (p,), covariance, noise left (3,), each pair's weight (n,) and part of the gradient."""
+
+    values: Array
+    covariance: Array
+    noise: Array
+    trust: Array
+    scores: Array
+
+
+def fit(error: Array, jacobian: Array, information: Array, prior: Array) -> Fit:
+    """Parameters (p,) that explain errors (n, 3) of pairs, by ridge regression, iteratively reweighted; noise
+    from the residuals, then twice more with it. `prior` (p, p) is an information."""
+    noise, values = USUAL_NOISE, np.zeros(len(prior))
     for _ in range(3):
         weight = joint_information(information, noise)
         for _ in range(8):
-            left = error - np.einsum("nij,j->ni", jacobian, shares)
+            left = error - np.einsum("nij,j->ni", jacobian, values)
             trust = cauchy_weight(np.einsum("ni,nij,nj->n", left, weight, left))
-            a = np.einsum(
-                "n,nia,nij,njb->ab", trust, jacobian, weight, jacobian
-            ) + ODOMETRY_SHARE**-2 * np.eye(3)
+            a = np.einsum("n,nia,nij,njb->ab", trust, jacobian, weight, jacobian) + prior
             b = np.einsum("n,nia,nij,nj->a", trust, jacobian, weight, error)
-            shares = np.linalg.solve(a, b)
+            values = np.linalg.solve(a, b)
         noise = noise_left(left, information)
-    pairs_used = int(np.count_nonzero(trust > 0.5))
-    scale, turn_scale, turn_per_m = (shares + np.array([1.0, 1.0, 0.0])).tolist()
-    return Calibration(scale, turn_scale, turn_per_m, noise, pairs_used, np.linalg.inv(a))
+    scores = np.einsum("n,nia,nij,nj->na", trust, jacobian, weight, left)
+    return Fit(values, np.linalg.inv(a), noise, trust, scores)
 
 
 def joint_information(information: Array, noise: Array) -> Array:
@@ -176,12 +179,3 @@ def shares_jacobian(steps: Array, pairs: NDArray[np.int64], odometry: Array) -> 
         end = chain(moved.corrected(steps), pairs)
         out[:, :, k] = (SE2(odometry).inverse() @ SE2(end)).xyt / h
     return out
-
-
-def chain(steps: Array, pairs: NDArray[np.int64]) -> Array:
-    """Motion (n, 3) over each pair of keys, composed of steps."""
-    yaw = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
-    c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])
-    move = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
-    T = SE2.from_array(np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(move, axis=0)]), yaw]))
-    return (T[pairs[:, 0]].inverse() @ T[pairs[:, 1]]).xyt

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from turtlebag.datasets.motion import sweep_motion_by_track
+from turtlebag.datasets.motion import sweep_motion_by_track, sweeps
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
@@ -26,10 +26,10 @@ def follow(
     track, recording, motion = track_log(scans, config, make, progress), scans.recording, scans.motion
     evidence = evidence_of(recording, track, config.odometry)
     unknown = evidence.distrusted | (motion is None)
-    if recording.lidar.time_increment == 0.0 or len(scans) < 2 or not unknown.any():
+    if not sweeps(recording) or len(scans) < 2 or not unknown.any():
         return scans, track, evidence
     by_track = sweep_motion_by_track(recording, track.T_track_base)
-    known = by_track if motion is None else motion
-    scans = replace(scans, motion=SE2(np.where(unknown[:, None, None], by_track.xyt, known.xyt)))
+    known = (by_track if motion is None else motion).xyt
+    scans = replace(scans, motion=SE2(np.where(unknown[:, None, None], by_track.xyt, known)))
     track = track_log(scans, config, make, progress)
     return scans, track, evidence_of(recording, track, config.odometry)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from turtlebag.datasets.motion import ANY_ROBOT, is_gap
+from turtlebag.datasets.motion import ANY_ROBOT
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.odometry.front_end import Placed
 from turtlebag.pipeline.slam.odometry.kiss import KissIcp
@@ -82,7 +82,7 @@ class Lines:
             found = Alignment(at, by_points.information, fit, by_points.rmse, 1.0 - fit)
         else:
             found, source = self._on_surfaces(scan, odometry_step, abs(wait_s))
-        matched, (found, sure, settled) = found, self._judge(scan, found, wait_s)
+        matched, (found, sure, settled) = found, self._judge(scan, found)
         pose, source = found.T_map_base.xyt, source if found is matched else 0
         if self.doubt is not None:
             self.wheel_trust.forget()
@@ -102,7 +102,7 @@ class Lines:
                 starts, share = starts[::-1], 1.0
         return self._by_lines(scan, starts, share * tracker.config.odometry.information(expected), wait_s)
 
-    def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[Alignment, bool, range]:
+    def _judge(self, scan: int, found: Alignment) -> tuple[Alignment, bool, range]:
         """Begin a doubt at a gap, and end it when odometry and scans agree on the motion since.
 
         If they do not agree in time, the odometry is taken to be right if the scan fits nothing, or if it was
@@ -117,7 +117,7 @@ class Lines:
         driven = tracker.odometry_since(scan - since.ago)
         agreed = confirms(driven, between(since.T_map_base, found.T_map_base.xyt))
         fits = found.cost <= self._usual_cost + FITS
-        if self.doubt is None and is_gap(wait_s):
+        if self.doubt is None and tracker.after_gap:
             self.doubt = since
         elif since.ago >= DOUBTED_SCANS or (agreed and fits):
             self.doubt, believed = None, since.wheels_believed

@@ -1,13 +1,14 @@
 """The tracker runs a front end over a log: odometry, key scans, calibration, and the resulting track.
 
-A `FrontEnd` estimates the pose of each scan in order. Until the first scan that others can be
-matched with, odometry alone is used; a scan becomes a key scan when the
-robot has moved on, the scan has something to match, and the front end is sure of its pose. The
-odometry's systematic errors are learnt from the key scans on the way.
+A `FrontEnd` estimates the pose of each scan in order. Until the first scan of a lidar that others can be
+matched with, odometry alone is used; a scan becomes a key scan when the robot has moved on since the last
+one of its lidar, the scan has something to match, and the front end is sure of its pose. The odometry's
+systematic errors are learnt from the key scans on the way.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import is_gap
+from turtlebag.datasets.motion import gap_s
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
@@ -29,22 +30,24 @@ from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Key scans in the coarse search's field, and the size of its cells [m].
 FIELD_KEYS, FIELD_M = 30, 0.1
+# The usual time between scans is that of so many.
+WAITS = 64
 
 
 class Tracker:
     """The log as far as it is tracked. `scan` is the one placed last, or being placed; `velocity` (3,) is the
-    motion of the last placed scan since the one before, `keys` are the key scans. `max_range` is how far the
-    lidar is used [m]."""
+    motion of the last placed scan since the one before, `keys` are the key scans; `after_gap` says whether
+    `scan` follows so long after the one before that this tells nothing. `max_range` is how far the lidar is
+    used [m]."""
 
     def __init__(
         self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float, make: Maker
     ) -> None:
         self.clouds, self.config, self.max_range = clouds, config, max_range
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
-        self.scan, self.velocity = 0, np.zeros(3)
+        self.scan, self.velocity, self.calibration, self.after_gap = 0, np.zeros(3), Calibration(), False
+        self._make, self._lidars, self._waits_s = make, len(clouds.origin), deque[float](maxlen=WAITS)
         self.keys: list[int] = []
-        self.calibration = Calibration()
-        self._make = make
         self._front_end: FrontEnd | None = None
         self._field: Field | None = None
         first = np.zeros(3) if self.odometry is None else self.odometry[0].copy()
@@ -56,8 +59,7 @@ class Tracker:
         self.clouds, self.odometry = clouds, T_odom_base
 
     def forget(self, scans: NDArray[np.bool_]) -> None:
-        """Drop these scans (n,): the others are numbered anew, and so are the key scans among them. `extend`
-        must follow, with the log numbered likewise."""
+        """Drop these scans (n,) and number the others anew; `extend` must follow, with the log likewise."""
         stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
         self.keys = [int(number[key]) for key in self.keys if stays[key]]
         self._placed = [self._placed[k] for k in np.flatnonzero(stays).tolist()]
@@ -68,11 +70,17 @@ class Tracker:
 
     def step(self, wait_s: float) -> None:
         """Place the next scan, taken this long after the last one [s]."""
+        if self._lidars > 1:
+            self.velocity = self._velocity(wait_s)
         before, self.scan = self.scan, self.scan + 1
+        self._waits_s.append(wait_s)
+        self.after_gap = abs(wait_s) > gap_s(np.array(self._waits_s))
         step = None if self.odometry is None else self.odometry_since(before)
-        if self._front_end is None:
-            pose = self.pose if step is None else compose(self.pose, step)
-            placed, moved = Placed(pose, np.zeros((3, 3)), 0.0), True
+        last_key, moved = self._last_key(), True
+        if self._front_end is None or last_key is None:
+            pose = compose(self.pose, self.velocity if step is None else step)
+            # a lidar's first scan cannot differ from what was seen before
+            placed = Placed(pose, np.zeros((3, 3)), float(self._front_end is not None))
         else:
             said = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
             # The front end may continue with its own arrays.
@@ -84,8 +92,9 @@ class Tracker:
                     source = self._placed[scan].source
                     self._placed[scan] = replace(placed, T_track_base=pose, source=source, revised=())
             # the motion across a gap does not predict the next step
-            self.velocity = np.zeros(3) if is_gap(wait_s) else between(self.pose, placed.T_track_base)
-            moved = self._moved_enough(placed.T_track_base)
+            self.velocity = np.zeros(3) if self.after_gap else between(self.pose, placed.T_track_base)
+            (x, y, turn), config = between(self.pose_of(last_key), placed.T_track_base), self.config
+            moved = bool(np.hypot(x, y) > config.key_distance_m or abs(turn) > config.key_turn_rad)
         self._placed.append(placed)
         if moved and placed.sure and self._has_matches(self.scan):
             self._add_key()
@@ -127,10 +136,9 @@ class Tracker:
 
     def track(self, first: int = 0) -> Track:
         """The resulting track; from a key scan `first` on, which becomes scan 0 and key scan 0."""
-        begin, steps = self.keys[first], None
-        placed, keys = self._placed[begin:], self.keys[first:]
-        if self.odometry is not None:
-            steps = self.calibration.corrected(SE2(self.odometry[keys]).steps())
+        begin, keys, T_odom = self.keys[first], self.keys[first:], self.odometry
+        placed = self._placed[begin:]
+        steps = None if T_odom is None else self.calibration.corrected(SE2(T_odom[keys]).steps())
         return Track(
             SE2(np.array([one.T_track_base for one in placed])),
             np.array(keys) - begin,
@@ -159,11 +167,18 @@ class Tracker:
         """Whether others can be matched with a scan."""
         return self.clouds.placed_by(scan) != "nothing"
 
-    def _moved_enough(self, pose: Array) -> bool:
-        delta, config = between(self.pose_of(self.keys[-1]), pose), self.config
-        return bool(
-            np.hypot(delta[0], delta[1]) > config.key_distance_m or abs(delta[2]) > config.key_turn_rad
-        )
+    def _velocity(self, wait_s: float) -> Array:
+        """The motion to expect over this time: scans of several lidars do not come evenly."""
+        waits_s = [*self._waits_s][-min(self._lidars, self.scan) :]
+        limit_s = gap_s(np.array([*self._waits_s, wait_s]))
+        known = sum(waits_s) > 0.0 and max(map(abs, [wait_s, *waits_s])) <= limit_s
+        share = wait_s / sum(waits_s) if known else 0.0
+        return share * between(self.pose_of(self.scan - len(waits_s)), self.pose)
+
+    def _last_key(self) -> int | None:
+        """The last key scan of the lidar that took the current scan."""
+        of = self.clouds.sensor
+        return next((key for key in reversed(self.keys) if of[key] == of[self.scan]), None)
 
     def _add_key(self) -> None:
         self.keys.append(self.scan)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, between, compose
-from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
+from turtlebag.datasets.types import Imu, LidarSpec, MountedLidar, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.graph.constraints import Constraint
 from turtlebag.pipeline.slam.graph.refinement import refine
 from turtlebag.pipeline.slam.grid import make_grid
@@ -60,13 +60,20 @@ class Mapper:
     odometry, the robot's."""
 
     def __init__(
-        self, lidar: LidarSpec, T_base_lidar: SE2, config: SlamConfig | None = None, kept: Kept = USUAL
+        self,
+        lidar: LidarSpec,
+        T_base_lidar: SE2,
+        config: SlamConfig | None = None,
+        kept: Kept = USUAL,
+        others: Sequence[MountedLidar] = (),
     ) -> None:
+        """`others` are further lidars, whose scans have the `sensor` 1 and on."""
+        lidars = MountedLidar(lidar, T_base_lidar), *others
         self.config, self._kept = config or SlamConfig(), kept
         self.jumps: list[float] = []
         """How far each closed loop moved the robot [m]."""
-        self._log = GrowingLog(lidar, T_base_lidar)
-        self._usable = self.config.usable(lidar)
+        self._log = GrowingLog(lidars)
+        self._usable = self.config.usable(*lidars)
         self._scans = GrowingScans(self._usable)
         # of every scan of the log: the number of the last key, and the scan's pose relative to it
         self._by_key = Columns()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Imu, ImuLog, LidarSpec, Recording, Scan, Trajectory
+from turtlebag.datasets.types import Imu, ImuLog, MountedLidar, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
 
@@ -71,7 +71,7 @@ class GrowingScans:
     def __init__(self, usable_m: float, noise: RangeNoise | None = None) -> None:
         self.usable_m, self.noise = usable_m, noise or RangeNoise()
         self._points, self._scans = Columns(), Columns()
-        self._origin = np.zeros(2)
+        self._origin, self._bins = np.zeros((1, 2)), np.ones(1, dtype=np.int64)
 
     def __len__(self) -> int:
         return len(self._scans)
@@ -89,11 +89,12 @@ class GrowingScans:
             table=np.where(one.table < 0, -1, one.table + end).astype(np.int32),
             end=end + one.starts[1:],
             number=np.array([number]),
+            sensor=one.sensor,
             stamp_ns=recording.stamps_ns,
             T_odom_base=np.zeros((1, 3)) if T_odom_base is None else T_odom_base.xyt,
             motion=motion.xyt,
         )
-        self._origin = one.origin
+        self._origin, self._bins = one.origin, one.bins
 
     def keep(self, stays: NDArray[np.bool_]) -> None:
         """Keep only these scans (n,), numbered anew."""
@@ -109,14 +110,16 @@ class GrowingScans:
     def view(self) -> Clouds:
         """The clouds of all current scans, without copying their points."""
         points, starts = {name: self._points[name] for name in PER_POINT}, np.append(0, self._scans["end"])
-        return Clouds(**points, table=self._scans["table"], starts=starts, origin=self._origin)
+        scans = {"table": self._scans["table"], "starts": starts, "sensor": self._scans["sensor"]}
+        return Clouds(**points, **scans, origin=self._origin, bins=self._bins)
 
 
 class GrowingLog:
     """Scans with the odometry and the IMU around them, and whether they are to be drawn."""
 
-    def __init__(self, lidar: LidarSpec, T_base_lidar: SE2) -> None:
-        self.lidar, self.T_base_lidar = lidar, T_base_lidar
+    def __init__(self, lidars: Sequence[MountedLidar]) -> None:
+        self._lidars = tuple(lidars)
+        self._beams = max(lidar.spec.n_beams for lidar in lidars)
         self.whole = True
         """Whether no scan was dropped."""
         self._scans, self._odometry, self._imu = Columns(), Columns(), Columns()
@@ -155,7 +158,8 @@ class GrowingLog:
             at["T_odom_base"] = odometry.xyt[None]
         self._scans.append(
             stamp_ns=np.array([scan.stamp_ns], dtype=np.int64),
-            ranges=scan.ranges[None],
+            ranges=np.pad(scan.ranges, (0, self._beams - len(scan.ranges)), constant_values=np.nan)[None],
+            sensor=np.array([scan.sensor], dtype=np.uint8),
             trusted=np.ones(1, dtype=np.bool_),
             number=np.array([self._added]),
             **at,
@@ -191,7 +195,7 @@ class GrowingLog:
         return Trajectory(self._odometry["stamp_ns"][-recent:], SE2(self._odometry["T_odom_base"][-recent:]))
 
     def _recording(self, scans: slice | NDArray[Any], recent: int) -> Recording:
-        imu, log = None, self._scans
+        imu, log, first = None, self._scans, self._lidars[0]
         if len(self._imu) and not recent:
             columns = self._imu["stamp_ns"], self._imu["angular_velocity"], self._imu["linear_acceleration"]
             imu = ImuLog(*columns)
@@ -199,8 +203,11 @@ class GrowingLog:
             source="the scans so far",
             stamps_ns=log["stamp_ns"][scans],
             ranges=log["ranges"][scans],
-            lidar=self.lidar,
-            T_base_lidar=self.T_base_lidar,
+            lidar=first.spec,
+            T_base_lidar=first.T_base_lidar,
+            topic=first.topic,
+            others=self._lidars[1:],
+            sensor=log["sensor"][scans] if len(self._lidars) > 1 else None,
             T_odom_base=SE2(log["T_odom_base"][scans]) if self.has_odometry else None,
             odometry=self._stream(recent) if len(self._odometry) else None,
             imu=imu,
@@ -209,7 +216,6 @@ class GrowingLog:
 
 def heard(recording: Recording, first: int = 0) -> Iterator[tuple[Scan, SE2 | Trajectory | None]]:
     """The scans of a log from one on, with the odometry since the last one, as `Mapper.add` takes them."""
-    sweep_ns = nanoseconds(recording.lidar.time_increment * (recording.lidar.n_beams - 1))
     stream, begin = recording.odometry, 0
     if stream is not None and first > 0:
         earlier = np.searchsorted(stream.stamps_ns, recording.stamps_ns[first] - nanoseconds(BEFORE_S))
@@ -219,7 +225,9 @@ def heard(recording: Recording, first: int = 0) -> Iterator[tuple[Scan, SE2 | Tr
         if stream is None:
             yield scan, None if recording.T_odom_base is None else recording.T_odom_base[k]
             continue
-        end = int(np.searchsorted(stream.stamps_ns, scan.stamp_ns + sweep_ns, side="right"))
+        end = int(
+            np.searchsorted(stream.stamps_ns, scan.stamp_ns + nanoseconds(scan.lidar.sweep_s), side="right")
+        )
         end = len(stream) if k == len(recording) - 1 else max(end, begin + (k == first))
         yield scan, Trajectory(stream.stamps_ns[begin:end], stream.poses[begin:end])
         begin = end

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.lidars import returns, runs
 from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.threads import in_parts
@@ -33,8 +34,6 @@ MIN_GAP_M, GRAZING = 0.06, 6.0
 MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
 # A line is rejected if its returns deviate from it by more than noise explains, at one error in a thousand.
 Z_SURFACE = 3.09
-# Returns beyond this are not used [m]: the farther a wall, the fewer beams hit it.
-USABLE_M = 30.0
 # A line whose direction is less certain than this is not used.
 UNSURE_RAD = 0.3
 
@@ -45,7 +44,9 @@ class Clouds(NamedTuple):
     `normals` are unit vectors towards the sensor, `centers` a point of the fitted line (its centroid);
     `point_var` is the variance of each point along its normal [m^2], `normal_var` that of the normal's
     direction [rad^2]; `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point
-    seen there, or -1. What is fitted is in single precision: 2 micrometres at 30 m.
+    seen there, or -1. What is fitted is in single precision: 2 micrometres at 30 m. `sensor` (n_scans,) says
+    which lidar took each scan; `origin` (lidars, 2) is where it sits, and of the columns of `table` the first
+    `bins` (lidars,) are its own.
     """
 
     points: Array
@@ -57,10 +58,18 @@ class Clouds(NamedTuple):
     starts: NDArray[np.int64]
     table: NDArray[np.int32]
     origin: Array
+    bins: NDArray[np.int64]
+    sensor: NDArray[np.uint8]
 
     def of(self, scan: int) -> Array:
         """Points of one scan, (k, 2)."""
         return self.points[self.starts[scan] : self.starts[scan + 1]]
+
+    def origins(self) -> Array:
+        """Where the lidar sits that measured each point, (m, 2), or (1, 2) if it is the only one."""
+        if len(self.origin) == 1:
+            return self.origin
+        return np.repeat(self.origin[self.sensor], np.diff(self.starts), axis=0)
 
     def lines(self, scan: int) -> int:
         """Points of one scan that have a surface line."""
@@ -109,40 +118,50 @@ def make_clouds(
     log.
     """
     noise = range_noise(recording, usable_range) if noise is None else noise
-    lidar, some = recording.lidar, slice(None) if scans is None else scans
+    some = slice(None) if scans is None else scans
     readings, knots = recording.ranges[some], known_motion(recording, motion)[some].xyt
-    valid = lidar.returns(readings) & (readings <= usable_range)
+    lidars, sensor = recording.lidars, recording.lidar_of[some]
+    valid = returns(recording, some) & (readings <= usable_range)
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
     points, point_var = np.empty((starts[-1], 2)), np.empty(starts[-1], dtype=np.float32)
-    origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
-    increment = abs(lidar.angle_increment) * recording.stride
-    n_bins = max(8, round(2.0 * math.pi / increment))
+    origin = np.array([lidar.T_base_lidar.xy for lidar in lidars], dtype=np.float64)
+    increments = [abs(part.lidar.angle_increment) * part.stride for _, part in recording.parts()]
+    bins = np.array([max(8, round(2.0 * math.pi / increment)) for increment in increments])
     normals, centers = (np.zeros(points.shape, dtype=np.float32) for _ in range(2))
     line_ok, normal_var = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points), dtype=np.float32)
-    table = np.full((len(readings), n_bins), -1, dtype=np.int32)
+    table = np.full((len(readings), bins.max()), -1, dtype=np.int32)
+    fitted = normals, centers, line_ok, point_var, normal_var
 
     def prepare(rows: slice) -> None:
-        part = starts[rows.start : rows.stop + 1]
-        these, ranges = slice(part[0], part[-1]), readings[rows][valid[rows]].astype(np.float64)
-        _place(valid[rows], ranges, lidar.directions, recording.T_base_lidar.xyt, knots[rows], points[these])
-        centers[these], point_var[these] = points[these], noise.variance(ranges)
-        fit_lines(points, part, origin, increment, (normals, centers, line_ok, point_var, normal_var))
-        bearing_tables(points, part, origin, table[rows])
+        for run in runs(sensor, rows):
+            k = int(sensor[run.start])
+            part, spec = starts[run.start : run.stop + 1], lidars[k].spec
+            these, seen = slice(part[0], part[-1]), valid[run, : spec.n_beams]
+            ranges = readings[run, : spec.n_beams][seen].astype(np.float64)
+            beams = spec.directions, spec.shares
+            _place(seen, ranges, beams, lidars[k].T_base_lidar.xyt, knots[run], points[these])
+            centers[these], point_var[these] = points[these], noise.of(k).variance(ranges)
+            fit_lines(points, part, origin[k], increments[k], fitted)
+            bearing_tables(points, part, origin[k], table[run, : bins[k]])
 
     in_parts(prepare, len(readings))
-    return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
+    return Clouds(points, *fitted, starts, table, origin, bins, sensor)
 
 
 @njit(cache=True, nogil=True)
 def _place(
-    valid: NDArray, ranges: Array, beams: Array, T_base_lidar: Array, motion: Array, points: Array
+    valid: NDArray,
+    ranges: Array,
+    beams: tuple[Array, Array],
+    T_base_lidar: Array,
+    motion: Array,
+    points: Array,
 ) -> None:
     """End points of the valid beams (n, beams) with these ranges (m,), in the base frame at the sweep's
-    start."""
-    fractions = np.linspace(0.0, 1.0, len(beams))
+    start; `beams` are their unit vectors and when in the sweep they are taken."""
     row = 0
     for scan in range(len(valid)):
-        origins, directions = deskewed(beams, fractions, T_base_lidar, motion[scan])
+        origins, directions = deskewed(beams[0], beams[1], T_base_lidar, motion[scan])
         for beam in np.flatnonzero(valid[scan]):
             points[row, 0] = origins[beam, 0] + ranges[row] * directions[beam, 0]
             points[row, 1] = origins[beam, 1] + ranges[row] * directions[beam, 1]

@@ -92,8 +92,10 @@ def _see_through(
     rows, cols = values.shape
     for k in range(len(keys)):
         c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
-        ox = (poses[k, 0] + c * clouds.origin[0] - s * clouds.origin[1] - corner[0]) / resolution
-        oy = (poses[k, 1] + s * clouds.origin[0] + c * clouds.origin[1] - corner[1]) / resolution
+        lidar = clouds.sensor[keys[k]]
+        lx, ly = clouds.origin[lidar, 0], clouds.origin[lidar, 1]
+        ox = (poses[k, 0] + c * lx - s * ly - corner[0]) / resolution
+        oy = (poses[k, 1] + s * lx + c * ly - corner[1]) / resolution
         for i in range(clouds.starts[keys[k]], clouds.starts[keys[k] + 1]):
             x, y = clouds.points[i, 0], clouds.points[i, 1]
             dx = (poses[k, 0] + c * x - s * y - corner[0]) / resolution - ox

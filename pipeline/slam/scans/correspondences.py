@@ -66,10 +66,10 @@ ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
 @njit(cache=True, forceinline=True, _nrt=False)
 def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> int:
     """Row of the point of scan `key` nearest to (x, y) in that scan's base frame, or -1 beyond `gate`."""
-    points, table, origin = clouds.points, clouds.table, clouds.origin
-    n_bins = table.shape[1]
+    points, table, lidar = clouds.points, clouds.table, clouds.sensor[key]
+    n_bins = clouds.bins[lidar]
     scale = n_bins / (2.0 * math.pi)
-    dx, dy = x - origin[0], y - origin[1]
+    dx, dy = x - clouds.origin[lidar, 0], y - clouds.origin[lidar, 1]
     r = math.sqrt(dx * dx + dy * dy)
     b = int((math.atan2(dy, dx) + math.pi) * scale)
     half = min(MAX_HALF_WINDOW, n_bins // 2)
@@ -102,9 +102,9 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
 def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
     """Whether scan `key` had (x, y), in its base frame, in view: all beams around that bearing, at least two,
     reached it to within `margin` [m]."""
-    points, table, origin = clouds.points, clouds.table, clouds.origin
-    n_bins = table.shape[1]
-    dx, dy = x - origin[0], y - origin[1]
+    points, table, lidar = clouds.points, clouds.table, clouds.sensor[key]
+    n_bins, ox, oy = clouds.bins[lidar], clouds.origin[lidar, 0], clouds.origin[lidar, 1]
+    dx, dy = x - ox, y - oy
     r = math.sqrt(dx * dx + dy * dy)
     b = int((math.atan2(dy, dx) + math.pi) * n_bins / (2.0 * math.pi))
     beams = 0
@@ -112,7 +112,7 @@ def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
         row = table[key, k % n_bins]
         if row < 0:
             continue
-        if math.hypot(points[row, 0] - origin[0], points[row, 1] - origin[1]) < r - margin:
+        if math.hypot(points[row, 0] - ox, points[row, 1] - oy) < r - margin:
             return False
         beams += 1
     return beams >= 2

@@ -26,7 +26,7 @@ RADIUS_M, ALIKE = 4.0, 2
 
 def partner_radius(clouds: Clouds) -> float:
     """The distance [m] up to which key scans are partners: the median of their ranges, or RADIUS_M."""
-    ranges = np.linalg.norm(clouds.points - clouds.origin, axis=1)
+    ranges = np.linalg.norm(clouds.points - clouds.origins(), axis=1)
     return max(RADIUS_M, float(np.median(ranges))) if len(ranges) else RADIUS_M
 
 

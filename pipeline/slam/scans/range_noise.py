@@ -7,7 +7,7 @@ Its actual value is noise, by the median over all triples: those across an edge 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -33,6 +33,12 @@ class RangeNoise:
     floor_m: float = 0.01
     per_m: float = 0.0
     per_m2: float = 0.0
+    others: tuple[RangeNoise, ...] = ()
+    """Those of further lidars."""
+
+    def of(self, number: int) -> RangeNoise:
+        """That of one of the lidars."""
+        return (self, *self.others)[number]
 
     def variance(self, ranges: Array) -> Array:
         """Variance [m^2] of ranges of any shape [m]."""
@@ -46,6 +52,9 @@ class RangeNoise:
 
 def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
     """The noise of a recording's ranges; the usual centimetre if there are too few beams."""
+    if recording.others:
+        first, *others = (range_noise(part, usable_range) for _, part in recording.parts())
+        return replace(first, others=tuple(others))
     step = max(1, len(recording) // SCANS)
     lidar, ranges = recording.lidar, recording.ranges[::step]
     valid, r = lidar.returns(ranges) & (ranges <= usable_range), ranges.astype(np.float64)

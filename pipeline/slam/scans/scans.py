@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.motion import sweep_motion
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, KeyScans, make_clouds
+from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans, make_clouds
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 
 
@@ -45,26 +44,5 @@ class Scans:
         clouds, n = self.clouds(keys), len(self)
         counts, table = np.zeros(n, np.int64), np.full((n, clouds.table.shape[1]), -1, np.int32)
         counts[keys], table[keys] = np.diff(clouds.starts), clouds.table
-        return KeyScans(clouds._replace(starts=np.concatenate([[0], np.cumsum(counts)]), table=table), keys)
-
-
-def joined_keys(a: KeyScans, b: KeyScans) -> KeyScans:
-    """The key scans of two logs, those of the second after those of the first."""
-    keys = np.concatenate([a.keys, b.keys + len(a.clouds.starts) - 1])
-    return KeyScans(joined_clouds([a.clouds, b.clouds]), keys)
-
-
-def joined_clouds(clouds: Sequence[Clouds]) -> Clouds:
-    """Several clouds as one, with their scans numbered consecutively."""
-    rows = np.cumsum([0, *[len(cloud.points) for cloud in clouds]])
-    starts = [cloud.starts[:-1] + row for cloud, row in zip(clouds, rows, strict=False)]
-    tables = [
-        np.where(cloud.table >= 0, cloud.table + np.int32(row), np.int32(-1))
-        for cloud, row in zip(clouds, rows, strict=False)
-    ]
-    return Clouds(
-        **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in PER_POINT},
-        starts=np.concatenate([*starts, rows[-1:]]).astype(np.int64),
-        table=np.concatenate(tables).astype(np.int32),
-        origin=clouds[0].origin,
-    )
+        starts, sensor = np.concatenate([[0], np.cumsum(counts)]), self.recording.lidar_of
+        return KeyScans(clouds._replace(starts=starts, table=table, sensor=sensor), keys)

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import gross
-from turtlebag.pipeline.slam.scans.clouds import USABLE_M
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
-from turtlebag.pipeline.slam.sensors.turn_comparison import (
+from turtlebag.pipeline.slam.times.stretches import (
     thinning,
     tracked_alone,
 )
@@ -52,7 +51,7 @@ def turned_by_deg(recording: Recording) -> float:
     """Error of the laser's declared yaw [deg]; 0 also if unknown."""
     if recording.T_odom_base is None or len(recording) <= SCANS:
         return 0.0
-    noise = range_noise(recording, USABLE_M)
+    noise = range_noise(recording, recording.lidar.range_max)
     return yaw_error_deg(np.array([ways_of(recording, one, noise) for one in stretches(recording)]))
 
 
@@ -93,7 +92,7 @@ def ways_of(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) ->
     """
     T_odom = recording.T_odom_base
     assert T_odom is not None
-    track = tracked_alone(recording, rows, noise).T_track_base
+    track = tracked_alone(recording, rows, noise).track.T_track_base
     ends = (track[0].inverse() @ track[-1], T_odom[rows[0]].inverse() @ T_odom[rows[-1]])
     by_scans, by_odometry = (complex(*end.xy) for end in ends)
     aside = 0.5 * wrap(ends[0].yaw - ends[1].yaw)

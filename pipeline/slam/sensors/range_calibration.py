@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.point_to_line import linearise, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
@@ -38,8 +39,9 @@ OFFSET_M, SHARE = 0.01, 0.01
 TURN_SHARE = 0.005
 # The equations are solved this many times, each time with the points moved by the last solution.
 ROUNDS = 5
-# Errors smaller than this many standard deviations are none.
-SIGNIFICANT_SIGMAS = 3.0
+# Errors smaller than this many standard deviations are none, and those of more a priori are no lidar's: they
+# come from a lidar that is tilted, from glass, or from people who walk about.
+SIGNIFICANT_SIGMAS, POSSIBLE_SIGMAS = 3.0, 2.0
 # Lines this many beams to either side must have the same direction, within this [rad]: lines cut corners and
 # bend round pillars, the more so at a distance.
 BESIDE, STRAIGHT_RAD = 6, 0.3
@@ -49,10 +51,15 @@ GRAZING_SINE = 0.25
 
 @dataclass(frozen=True)
 class RangeCalibration:
-    """Readings r [m] are `offset_m + square_per_m * r^2` too long."""
+    """Readings r [m] are `offset_m + square_per_m * r^2` too long. `others` are those of further lidars."""
 
     offset_m: float = 0.0
     square_per_m: float = 0.0
+    others: tuple[RangeCalibration, ...] = ()
+
+    def numbers(self) -> dict[str, float]:
+        """Those of the only lidar, or the first."""
+        return {"offset_m": self.offset_m, "square_per_m": self.square_per_m}
 
     def error(self, ranges: Array) -> Array:
         """Error of these readings [m]."""
@@ -65,6 +72,9 @@ class RangeCalibration:
 
     def applied(self, recording: Recording) -> Recording:
         """The recording with corrected ranges; a return remains a return."""
+        if recording.others:
+            errors = iter((replace(self, others=()), *self.others))
+            return of_each_lidar(recording, lambda part: next(errors).applied(part))
         ranges, lidar = recording.ranges, recording.lidar
         back, metre = lidar.returns(ranges), ranges.dtype.type
         read = np.where(back, ranges, 0.0).astype(np.float64)
@@ -74,9 +84,10 @@ class RangeCalibration:
 
     def moved(self, clouds: Clouds) -> Clouds:
         """The clouds with corrected ranges: points along their rays, and lines with them."""
-        points, _ = self._along(clouds.points - clouds.origin)
-        centers, stretch = self._along(clouds.centers - clouds.origin)
-        ray = clouds.centers - clouds.origin
+        origin = clouds.origins()
+        points, _ = self._along(clouds.points - origin)
+        centers, stretch = self._along(clouds.centers - origin)
+        ray = clouds.centers - origin
         ray = ray / np.maximum(np.linalg.norm(ray, axis=1), NOTHING_M)[:, None]
         # A radial map stretches along and across the ray; normals transform by its inverse.
         along = (clouds.normals * ray).sum(axis=1)[:, None] * ray
@@ -84,8 +95,8 @@ class RangeCalibration:
         length = np.linalg.norm(normals, axis=1)
         normals = normals / np.where(length > 0.0, length, 1.0)[:, None]
         return clouds._replace(
-            points=(clouds.origin + points).astype(clouds.points.dtype),
-            centers=(clouds.origin + centers).astype(clouds.centers.dtype),
+            points=(origin + points).astype(clouds.points.dtype),
+            centers=(origin + centers).astype(clouds.centers.dtype),
             normals=normals.astype(clouds.normals.dtype),
         )
 
@@ -97,11 +108,17 @@ class RangeCalibration:
 
 
 def range_errors(scans: Scans, track: Track) -> RangeCalibration:
-    """The range errors of a short-range lidar, by the key scans of a track; none of any other."""
-    if scans.recording.lidar.range_max > TRIANGULATES_M:
-        return RangeCalibration()
-    key_scans = scans.of_keys(track.keys)
-    return calibrate_ranges(*key_scans, track.T_track_base[track.keys], scans.usable_m)
+    """The range errors of short-range lidars, by the key scans of a track; none of any other."""
+    lidars, of_key = scans.recording.lidars, scans.recording.lidar_of[track.keys]
+    errors = [RangeCalibration()] * len(lidars)
+    for number, lidar in enumerate(lidars):
+        keys = track.keys[of_key == number]
+        if lidar.spec.range_max <= TRIANGULATES_M and len(keys):
+            poses = track.T_track_base[keys]
+            farthest = min(scans.usable_m, lidar.spec.range_max)
+            errors[number] = calibrate_ranges(*scans.of_keys(keys), poses, farthest)
+    some = any(error != RangeCalibration() for error in errors)
+    return replace(errors[0], others=tuple(errors[1:]) if some else ())
 
 
 def calibrate_ranges(
@@ -110,19 +127,21 @@ def calibrate_ranges(
     """The calibration that best aligns what key scans (n,) saw, as placed by a front end.
 
     Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
-    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant error counts as none.
+    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant or impossible error counts as none.
     """
     pairs = overlapping_pairs(T_track_keys)
     prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
     value = np.zeros(2)
     for _ in range(ROUNDS):
-        moved = RangeCalibration(*value).moved(clouds)
+        moved = RangeCalibration(float(value[0]), float(value[1])).moved(clouds)
         h, g = _equations(moved, keys, T_track_keys.xyt, pairs, Limits.fine())
         value = value - np.linalg.solve(
             h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
         )
     significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGNIFICANT_SIGMAS**2
-    return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
+    possible = value @ prior @ value < POSSIBLE_SIGMAS**2
+    found = RangeCalibration(float(value[0]), float(value[1]))
+    return found if significant and possible else RangeCalibration()
 
 
 @njit(cache=True, nogil=True)
@@ -163,8 +182,9 @@ def _half(
     T_key_scan is as in `linearise`. The unknowns are a right perturbation of the pair's pose, the share by
     which the pair's second scan has longer ranges than its first, then offset and square.
     """
-    points, normals, centers, origin = clouds.points, clouds.normals, clouds.centers, clouds.origin
+    points, normals, centers = clouds.points, clouds.normals, clouds.centers
     (h, g), (scan, key) = equations, pair
+    origin = clouds.origin[clouds.sensor[scan]]  # both are of one lidar
     row_of = np.zeros(6)
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not straight[r]:

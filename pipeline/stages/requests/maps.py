@@ -21,6 +21,7 @@ from turtlebag.pipeline.stages.requests.options import (
     Overrides,
     Pose,
     Seed,
+    Topics,
     file,
     flag,
     on_map,
@@ -65,14 +66,15 @@ class MapRequest(Request):
     ] = None
     laser: LaserPose = None
     topic: Annotated[
-        str | None,
+        Topics,
         Option(
             "NAME",
-            "topic to map: LaserScan for 2D, PointCloud2 for 3D "
-            "(default: /scan or the only LaserScan topic; if there is none, the point clouds)",
+            "topic to map: LaserScan for 2D (more than one for several lidars), PointCloud2 for 3D "
+            "(default: all lidars that have a transform, else /scan or the only LaserScan topic; "
+            "if there is none, the point clouds)",
             "/scan",
         ),
-    ] = None
+    ] = ()
     name: Annotated[str | None, Option("NAME", "also save the map as NAME.pgm and NAME.yaml", "hall")] = None
     edits: Annotated[
         Path | None, file("FILE", "YAML file of loop closures to reject or to add", "edits.yaml")
@@ -104,6 +106,15 @@ class LocaliseRequest(Request):
         ),
     ] = None
     laser: LaserPose = None
+    topic: Annotated[
+        Topics,
+        Option(
+            "NAME",
+            "LaserScan topic to use, more than one for several lidars "
+            "(default: all lidars that have a transform, else /scan or the only one)",
+            "/scan",
+        ),
+    ] = ()
     truth: Annotated[Path | None, file("DIR", "truth folder to measure errors against", "rec/truth")] = None
     seed: Seed = 1
     config: ConfigFile = None

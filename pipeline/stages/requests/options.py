@@ -230,6 +230,10 @@ Overrides = Annotated[
     BeforeValidator(chosen_settings),
     Option("KEY=VALUE", "override one setting", "sim.sensors=clean", name="--set"),
 ]
+Topics = Annotated[
+    tuple[str, ...], BeforeValidator(lambda value: (value,) if isinstance(value, str) else value or ())
+]
+"""Topics; one alone, or None, in requests of earlier versions."""
 LaserPose = Annotated[
     Annotated[Laser, BeforeValidator(laser)] | None,
     Option(

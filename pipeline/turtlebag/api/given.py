@@ -39,7 +39,7 @@ def scan(scan: Scan, last: Scan | None) -> Scan:
         )
     if last is not None and scan.lidar != last.lidar:
         raise InputError("scan.lidar: differs from that of the scans before")
-    return Scan(int(scan.stamp_ns), ranges, scan.lidar)
+    return Scan(int(scan.stamp_ns), ranges, scan.lidar, scan.sensor)
 
 
 def odometry(

@@ -32,18 +32,22 @@ class _Listener:
     def __init__(self, robot: PathLike, laser: Pose | None) -> None:
         if laser is not None:
             self.T_base_lidar = given.pose(laser, "laser")
+            self.lidars: tuple[types.MountedLidar, ...] = ()
         else:
-            self.T_base_lidar = load_robot(os.fspath(robot)).T_base_lidar
+            self.lidars = load_robot(os.fspath(robot)).mounted()
+            self.T_base_lidar = self.lidars[0].T_base_lidar
         self.scan: Scan | None = None
+        self._scans: dict[int, Scan] = {}
         self.odometry: SE2 | types.Trajectory | None = None
         self.observed_ns: int | None = None
 
     def heard(self, scan: Scan, odometry: Any) -> tuple[Scan, SE2 | types.Trajectory | None]:
         """A scan and its odometry, checked against the earlier ones; InputError names the problem."""
-        checked = given.scan(scan, self.scan)
+        checked = given.scan(scan, self._scans.get(scan.sensor))
         first = self.scan is None
         moved = given.odometry(odometry, self.odometry, first)
-        self.scan, self.odometry = checked, moved
+        self.scan = self._scans[scan.sensor] = checked
+        self.odometry = moved
         return checked, moved
 
     def observed(self, observation: Observation) -> None:
@@ -75,7 +79,8 @@ class Mapper:
         self._heard = _Listener(robot, laser)
         chosen = {**(settings or {}), **({} if front_end is None else {"front_end": front_end})}
         slam = load_config(SlamConfig, None if config is None else Path(config), chosen)
-        self._online = OnlineMap(self._heard.T_base_lidar, slam)
+        lidars = self._heard.lidars if len(self._heard.lidars) > 1 else ()
+        self._online = OnlineMap(self._heard.T_base_lidar, slam, lidars)
 
     def __len__(self) -> int:
         return 0 if self._online.mapper is None else len(self._online.mapper)
@@ -220,9 +225,9 @@ class Localiser:
 
     def _update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None) -> Array:
         if self._localiser is None:
-            self._localiser = started(
-                self._grid, scan.lidar, self._heard.T_base_lidar, self._told, self._config, self._rng
-            )
+            lidars = self._heard.lidars[1:]
+            first = types.MountedLidar(scan.lidar, self._heard.T_base_lidar)
+            self._localiser = started(self._grid, (first, *lidars), self._told, self._config, self._rng)
         self._localiser.update(scan, T_odom_base, T_odom_base_end)
         self._T_odom_base = T_odom_base
         return self.pose
