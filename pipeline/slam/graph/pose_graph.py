@@ -98,23 +98,28 @@ GTSAM = Gtsam()
 optimise = GTSAM.optimise
 
 
-def marginals(
-    n: int, i: NDArray[np.int64], j: NDArray[np.int64], information: Array, held: float = HELD
-) -> Array:
-    """Covariances (n, 3, 3) of n vectors whose differences, j (k,) less i (k,), are known with information
-    (k, 3, 3), and the first of them to a standard deviation `held`."""
+def marginals(n: int, i: NDArray[np.int64], j: NDArray[np.int64], information: Array) -> Array:
+    """Covariances (n, 3, 3) of n vectors, the first of them fixed, whose differences, j (k,) less i (k,), are
+    known with information (k, 3, 3)."""
     import gtsam
 
-    unit = gtsam.noiseModel.Unit.Create(3)
-    roots = np.linalg.cholesky(information).transpose(0, 2, 1)
-    graph, zeros = gtsam.GaussianFactorGraph(), gtsam.VectorValues()
-    graph.add(gtsam.JacobianFactor(0, np.eye(3) / held, np.zeros(3), unit))
+    # in units in which the usual information is 1: a turn about the middle of a large map moves its ends far
+    units = np.median(np.diagonal(information, axis1=1, axis2=2), axis=0) ** -0.5 if len(i) else np.ones(3)
+    unit, zeros = gtsam.noiseModel.Unit.Create(3), np.zeros(3)
+    roots = np.linalg.cholesky(information * np.outer(units, units)).transpose(0, 2, 1)
+    graph, start = gtsam.GaussianFactorGraph(), gtsam.VectorValues()
     for a, b, root in zip(i.tolist(), j.tolist(), roots, strict=True):
-        graph.add(gtsam.JacobianFactor(a, -root, b, root, np.zeros(3), unit))
-    for k in range(n):
-        zeros.insert(k, np.zeros(3))
-    found = gtsam.Marginals(graph, zeros)
-    return np.array([found.marginalCovariance(k) for k in range(n)])
+        ends = [part for end, factor in ((a, -root), (b, root)) if end > 0 for part in (end, factor)]
+        graph.add(gtsam.JacobianFactor(*ends, zeros, unit))
+    for k in range(1, n):
+        # what hardly holds a key to the others must not be lost beside the rest
+        graph.add(gtsam.JacobianFactor(k, WEAK * np.eye(3), zeros, unit))
+        start.insert(k, zeros)
+    out = np.zeros((n, 3, 3))
+    if n > 1:
+        found = gtsam.Marginals(graph, start)
+        out[1:] = [found.marginalCovariance(k) for k in range(1, n)] * np.outer(units, units)
+    return out
 
 
 def positive_definite(information: Array) -> Array:
