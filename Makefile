@@ -8,14 +8,16 @@ SEED ?= 1
 TELEOP ?= tour
 TASK ?= patrol
 GOAL ?=
+START ?=
 PYTHON ?= python3
+DATA ?= data
 
 # Where it goes: OUT names the output folder of the one stage that is asked for.
 NAME := $(WORLD)-$(ROBOT)-$(TELEOP)-$(SEED)
-RECORD_DIR = $(if $(filter record,$(MAKECMDGOALS)),$(or $(OUT),data/records/$(NAME)),data/records/$(NAME))
-MAP_DIR = $(if $(filter map,$(MAKECMDGOALS)),$(or $(OUT),data/maps/$(NAME)),data/maps/$(NAME))
-RUN_DIR = $(if $(filter navigate,$(MAKECMDGOALS)),$(or $(OUT),data/runs/$(NAME)-$(TASK)),data/runs/$(NAME)-$(TASK))
-REPORT_DIR = $(if $(filter report,$(MAKECMDGOALS)),$(or $(OUT),data/reports/$(NAME)-$(TASK)),data/reports/$(NAME)-$(TASK))
+RECORD_DIR = $(if $(filter record,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/records/$(NAME)),$(DATA)/records/$(NAME))
+MAP_DIR = $(if $(filter map,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/maps/$(NAME)),$(DATA)/maps/$(NAME))
+RUN_DIR = $(if $(filter navigate,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/runs/$(NAME)-$(TASK)),$(DATA)/runs/$(NAME)-$(TASK))
+REPORT_DIR = $(if $(filter report,$(MAKECMDGOALS)),$(or $(OUT),$(DATA)/reports/$(NAME)-$(TASK)),$(DATA)/reports/$(NAME)-$(TASK))
 # Where it comes from: an own bag or log (BAG=) or an own map yaml (MAP=) takes the place of the stage before.
 BAG_INPUT = $(or $(BAG),$(RECORD_DIR))
 MAP_INPUT = $(or $(MAP),$(MAP_DIR)/map.yaml)
@@ -42,7 +44,7 @@ OR_AGAIN = || { code=$$?; [ ! -f $@ ] || touch -t 197001020000 $@; exit $$code; 
 RECORD = $(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D)
 MAPPING = $(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
 NAVIGATE = $(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
-  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL))
+  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL)) $(if $(START),--start=$(START))
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z _-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -60,21 +62,21 @@ doctor: $(READY) ## check the installation: one line for each missing part
 
 demo: $(READY) ## record, map and navigate in the arena and the house, then report
 	$(MAKE) --no-print-directory --jobs=2 demo-world demo-house
-	$(TURTLEBAG) report --force --out data/reports/demo $(addprefix data/,$(DEMO))
+	$(TURTLEBAG) report --force --out $(DATA)/reports/demo $(addprefix $(DATA)/,$(DEMO))
 
 demo-world:
 	$(MAKE) --no-print-directory record map navigate WORLD=turtlebot3_world TASK=patrol
 
 demo-house:
 	$(MAKE) --no-print-directory record map navigate WORLD=turtlebot3_house TASK=goal GOAL=5.5,-4.5,-1.5708
-	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_house TASK=avoid
+	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_house TASK=avoid START=1,4,0
 
 studio: $(READY) ## open a simulated robot in the browser   (WORLD ROBOT SEED MAP OUT)
 	$(TURTLEBAG) studio --world $(WORLD) --robot $(ROBOT) --seed $(SEED) $(if $(MAP),--map $(MAP)) $(if $(OUT),--out $(OUT))
 
 record: $(RECORD_DIR)/manifest.json ## drive a robot in a world, write a bag   (WORLD ROBOT TELEOP SEED OUT)
-map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
-navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL MAP OUT, or as record)
+map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),$(DATA)/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
+navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL START MAP OUT, or as record)
 report: $(REPORT_DIR)/manifest.json ## make the report page of a run   (OUT, or as navigate)
 
 $(RECORD_DIR)/manifest.json: $(call sources,sim datasets reports/metrics) pipeline/stages/record.py | $(READY)
@@ -83,7 +85,7 @@ $(RECORD_DIR)/manifest.json: $(call sources,sim datasets reports/metrics) pipeli
 $(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) $(wildcard pipeline/stages/map*.py) pipeline/stages/settings.py | $(READY)
 	@$(info $(strip $(MAPPING)))$(MAPPING) $(OR_AGAIN)
 
-data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
+$(DATA)/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
 	cp $(MAP_DIR)/map.pgm $(@:.yaml=.pgm)
 	sed 's/^image: map.pgm/image: $(notdir $(@:.yaml=.pgm))/' $(MAP_DIR)/map.yaml > $@
 
@@ -94,18 +96,19 @@ $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports dat
 	$(TURTLEBAG) report --force --out $(@D) $(REPORT_ON)
 
 # Everything the demo leaves, but for the manifests: those alone may tell one run from another.
-DEMO_AGAIN = rm -rf $(addprefix data/,$(DEMO)) data/reports/demo && $(MAKE) --no-print-directory demo
-DEMO_HASHES = cd data && find $(DEMO) reports/demo -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
+override AGAIN := data/verify/demo
+DEMO_AGAIN = rm -rf $(AGAIN) && $(MAKE) --no-print-directory demo DATA=$(AGAIN)
+DEMO_HASHES = cd $(AGAIN) && find . -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
 
-verify: $(READY) ## run the demo twice and compare every file, then verify its report
+verify: $(READY) ## run the demo twice in a folder of its own, compare every file, then verify its report
 	mkdir -p data/verify
-	$(DEMO_AGAIN) > data/verify/first.log
-	$(DEMO_HASHES) > verify/first.sha256
-	$(DEMO_AGAIN) > data/verify/second.log
-	$(DEMO_HASHES) > verify/second.sha256
+	$(DEMO_AGAIN)
+	$(DEMO_HASHES) > ../first.sha256
+	$(DEMO_AGAIN)
+	$(DEMO_HASHES) > ../second.sha256
 	diff data/verify/first.sha256 data/verify/second.sha256
 	@echo "the same bytes twice: $$(wc -l < data/verify/first.sha256) files"
-	$(TURTLEBAG) verify data/reports/demo
+	$(TURTLEBAG) verify $(AGAIN)/reports/demo
 
 pictures: demo ## the animations of the README and the figure of docs/how-it-maps.md, from the demo
 	cp data/reports/demo/figures/turtlebot3-world-map-animation.gif docs/images/mapping.gif

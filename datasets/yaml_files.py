@@ -162,6 +162,9 @@ def checked(model: type[Model], data: Any, *, where: str) -> Model:
             logging.getLogger("turtlebag").warning("note: %s: %s: left out: %s", where, _dotted(loc), note)
         return checked(model, _without(data, removed), where=where)
     first = errors[0]
+    if first["type"] == "missing":  # a misspelt key is named before the key that it stands for
+        beside = (e for e in errors if e["type"] == "extra_forbidden" and e["loc"][:-1] == first["loc"][:-1])
+        first = next(beside, first)
     what = plain_message(first)
     if first["type"] == "extra_forbidden":
         what = _unknown(model, first)

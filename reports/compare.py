@@ -20,12 +20,11 @@ from turtlebag.reports.metrics.map import walls_in
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import Row, leaves, lookup, shown
 from turtlebag.reports.stages import Group, Stage
-from turtlebag.reports.verdicts import BAD, GOOD, NEUTRAL
 
 
 @dataclass(frozen=True)
 class Change(Row):
-    """One number of A and of B."""
+    """One number of A and of B. Neither is called better: of one run each, the spread is not known."""
 
     @property
     def by(self) -> float | None:
@@ -53,13 +52,6 @@ class Change(Row):
         if not a or not self.by or self.spec.unit == "yes" or self.difference == "\u2248":
             return ""
         return f"{100.0 * self.by / abs(a):+.0f} %".replace("-", "\u2212")
-
-    @property
-    def mood(self) -> str:
-        """Whether B is better, worse or neither."""
-        if not self.by or not self.spec.sense or self.difference == "\u2248":
-            return NEUTRAL
-        return GOOD if (self.by > 0) == (self.spec.sense > 0) else BAD
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,11 @@ import os
 import re
 import shlex
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.helpers.help_text import actions, options
 from tests.helpers.page_commands import BLOCK, commands, run_page
@@ -245,3 +247,13 @@ def test_no_page_holds_a_path_of_a_machine():
     here = os.sep.join(["", "root"]), os.sep.join(["", "home", ""]), os.sep.join(["", "tmp", ""])
     for page in PAGES:
         assert not any(place in page.read_text() for place in here), name_of(page)
+
+
+def test_one_version_in_the_package_the_citation_and_the_changelog():
+    package = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    newest = re.search(r"^## (\S+) \((\S+)\)$", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert newest is not None
+    assert newest.groups() == (package["version"], str(citation["date-released"]))
+    assert citation["version"] == package["version"]
+    assert [author["name"] for author in citation["authors"]] == [a["name"] for a in package["authors"]]

@@ -32,8 +32,8 @@ class Page(HTMLParser):
             self.loaded.append(values[FETCHED[tag]])
 
 
-GENERATED = {Path("commands.html"), Path("settings.html")}
-"""Pages without a file in docs: made from the requests and the settings."""
+GENERATED = {Path("commands.html"), Path("settings.html"), Path("glossary.html")}
+"""Pages without a file in docs: made from the requests, the settings and the words of the reports."""
 
 
 @pytest.mark.slow

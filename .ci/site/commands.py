@@ -1,4 +1,4 @@
-"""The reference of the site that is generated: what `--help` says of every command, and every setting."""
+"""The pages of the site that are generated: all commands by `--help`, all settings, the glossary."""
 
 import io
 import re
@@ -16,6 +16,7 @@ from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig
 from turtlebag.pipeline.stages.localise import LocaliseConfig
 from turtlebag.pipeline.stages.record import RecordConfig
+from turtlebag.reports.glossary import WORDS
 
 CONFIGS: dict[str, type[BaseModel]] = {
     "`record`, `teleop`": RecordConfig,
@@ -27,9 +28,10 @@ CONFIGS: dict[str, type[BaseModel]] = {
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Two pages more."""
+    """Three pages more."""
     files.append(File.generated(config, "commands.md", content="".join(commands())))
     files.append(File.generated(config, "settings.md", content="".join(settings())))
+    files.append(File.generated(config, "glossary.md", content="".join(glossary())))
     return files
 
 
@@ -49,6 +51,13 @@ def commands() -> Iterator[str]:
         listed = text.partition("\n  ACTION\n")[2]
         for action in re.findall(r"^    ([a-z]+)(?:  |$)", listed, re.M):
             yield f"\n### turtlebag {verb} {action}\n\n```text\n{shown(verb, action)}```\n"
+
+
+def glossary() -> Iterator[str]:
+    """The words that reports explain."""
+    yield "# Glossary\n\nThe words of the reports. [Concepts](concepts.md) puts them together.\n"
+    for word in sorted(WORDS, key=lambda word: word.name.lower()):
+        yield f"\n**{word.name}**: {word.meaning}\n"
 
 
 def settings() -> Iterator[str]:

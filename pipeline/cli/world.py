@@ -40,8 +40,9 @@ def _list(args: argparse.Namespace) -> int:
 
 def _show(args: argparse.Namespace) -> int:
     from turtlebag.datasets.outputs import staged_file
-    from turtlebag.reports.figures.maps import draw_world
+    from turtlebag.reports.figures.maps import WorldSketch, draw_world
     from turtlebag.sim.robots import load_robot
+    from turtlebag.sim.shapes import sections
     from turtlebag.sim.worlds import load_world
 
     if args.out.suffix.lower() != ".png":
@@ -49,13 +50,19 @@ def _show(args: argparse.Namespace) -> int:
     world = load_world(args.world)
     robot = load_robot(args.robot or world.robot)
     z = robot.lidar_height
-    hidden = [
-        (solid.polygon, solid.center, solid.radius)
-        for solid in world.below(robot.height)
-        if not solid.crosses(z)
-    ]
+    low = [solid for solid in world.below(robot.height) if not solid.crosses(z)]
+    moving = []
+    for mover in world.movers:
+        section = sections([mover.solid], z).moved(mover.path[0])
+        moving.append(((section.segments, section.circles), mover.path))
+    sketch = WorldSketch(
+        [solid.outline(z, z) for solid in world.crossing(z)],
+        [solid.outline(solid.z_min, solid.z_max) for solid in low],
+        moving,
+        world.keepout,
+    )
     title = f"{world.name} at {z:g} m (lidar of {robot.name})"
     with staged_file(args.out, force=args.force) as file:
-        draw_world(file, title, world.rasterize(z), world.spawn, hidden, world.keepout)
+        draw_world(file, title, world.rasterize(z), world.spawn, sketch)
     print(args.out)
     return 0

@@ -13,10 +13,13 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
 LOG, WHOLE, READY = "install.log", ".whole", ".ready"  # the last is make's
+# Seconds after which a step says that it still runs.
+STILL_S = 15.0
 AGAIN = "then run the same make command again"
 UV = "uv>=0.9,<1"
 PIP = ("-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check", "--no-input")
@@ -54,8 +57,8 @@ def install(environment: Path, project: Path, handle: int) -> None:
         print(f"set-up: {said}", flush=True)
         with (environment / LOG).open("a+") as log:
             env = {**os.environ, **settings}
-            done = subprocess.run(command, stdout=log, stderr=log, pass_fds=(handle,), env=env, check=False)
-            if code := done.returncode:
+            process = subprocess.Popen(command, stdout=log, stderr=log, pass_fds=(handle,), env=env)
+            if code := waited(process, said.partition(" (")[0]):
                 log.seek(0)
                 errors = re.findall(r"^(?:ERROR|error): *(.*)", log.read(), re.M | re.I)
                 why = errors[0] if errors else f"stopped by signal {-code}" if code < 0 else f"exit {code}"
@@ -76,9 +79,23 @@ def install(environment: Path, project: Path, handle: int) -> None:
     places = [str(environment / "lib"), *map(str, project.glob("[!.]*"))]
     subprocess.run([python, "-m", "compileall", "-qq", "-j", "0", "-x", "/tests/", *places], check=False)
     print("set-up: trial run, which compiles the numeric kernels", flush=True)
-    if subprocess.run([environment / "bin/turtlebag", "doctor", "--trial"], check=False).returncode:
+    if waited(subprocess.Popen([environment / "bin/turtlebag", "doctor", "--trial"]), "trial run"):
         raise Failed(f"the lines above show what does not work; fix it, {AGAIN}")
     (environment / WHOLE).touch()
+
+
+def waited(process: subprocess.Popen[bytes], said: str) -> int:
+    """The exit code of a process; every now and then a line tells that it still runs."""
+    begin = time.monotonic()
+    with process:
+        while True:
+            try:
+                return process.wait(STILL_S)
+            except subprocess.TimeoutExpired:
+                print(f"set-up: {said}: {time.monotonic() - begin:.0f} s", flush=True)
+            except BaseException:
+                process.terminate()
+                raise
 
 
 def put_on_path(environment: Path, project: Path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
-from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of, systems_of
 from turtlebag.pipeline.stages.recipe import command_of
@@ -20,7 +19,6 @@ from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
-from turtlebag.reports.verdicts import BAD, GOOD
 
 
 def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
@@ -52,13 +50,11 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
     if out is None:
         return found
     names = {"name_a": f"A: {a.resolve().name}", "name_b": f"B: {b.resolve().name}"}
-    moods = [row.mood for row in found.rows]
-    told: dict[str, Any] = {"better": counted(moods.count(GOOD), "number"), "worse": moods.count(BAD)}
     commands = [command_of(stage, name) for stage, name in zip(stages, "AB", strict=True)]
     with out.staged() as folder:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)
-        told |= {"found": found, "commands": commands, "pictures": album.pictures}
+        told: dict[str, Any] = {"found": found, "commands": commands, "pictures": album.pictures}
         page = fill("compare.html.j2", **names, **told)
         (folder / "index.html").write_text(page)
         metrics = {row.spec.path: row.values for row in found.rows}

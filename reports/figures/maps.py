@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, Patch, Polygon
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
@@ -84,11 +84,28 @@ def draw_grid(axes: Axes, grid: OccupancyGrid, *, faint: bool = False) -> None:
 
 def show_image(axes: Axes, image: NDArray[np.float64], grid: OccupancyGrid) -> None:
     """An image with one pixel a cell, row 0 lowest, where the grid lies."""
-    artist = axes.imshow(np.clip(image, 0.0, 1.0), origin="lower", extent=grid.extent(), zorder=0.5)
+    by = -(-max(image.shape[:2]) // MOST_PIXELS)
+    image, (x, _, y, _) = darkest(image, by), grid.extent()
+    height, width = by * grid.resolution * np.array(image.shape[:2])
+    extent = (x, x + width, y, y + height)
+    artist = axes.imshow(np.clip(image, 0.0, 1.0), origin="lower", extent=extent, zorder=0.5)
     T = grid.T_map_grid
     if float(T.yaw) != 0.0:
         turn = matplotlib.transforms.Affine2D().rotate_around(float(T.x), float(T.y), float(T.yaw))
         artist.set_transform(turn + axes.transData)
+
+
+def darkest(image: NDArray[np.float64], by: int) -> NDArray[np.float64]:
+    """An image (rows, cols, 3 or 4) with a pixel for each block of `by` by `by`: the most opaque of them, of
+    those the darkest, so that a wall of one cell stays in a picture that has no room for it."""
+    if by == 1:
+        return image
+    rows, cols = (-(-n // by) * by for n in image.shape[:2])
+    padded = np.pad(image, ((0, rows - image.shape[0]), (0, cols - image.shape[1]), (0, 0)), "edge")
+    blocks = padded.reshape(rows // by, by, cols // by, by, -1).swapaxes(1, 2)
+    blocks = blocks.reshape(rows // by, cols // by, by * by, -1)
+    brightness = blocks[..., :3].sum(axis=-1) - (10.0 * blocks[..., 3] if blocks.shape[-1] == 4 else 0.0)
+    return np.take_along_axis(blocks, brightness.argmin(axis=-1)[..., None, None], axis=2)[:, :, 0]
 
 
 def draw_path(axes: Axes, trajectory: Trajectory | None, kind: str, **changes: Any) -> None:
@@ -204,31 +221,55 @@ def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord)
     return figure
 
 
-def draw_world(
-    path: Path,
-    title: str,
-    grid: OccupancyGrid,
-    spawn: SE2,
-    hidden: Sequence[tuple[Array, tuple[float, float], float]],
-    keepout: Sequence[Array] = (),
-) -> None:
-    """Write a PNG that carries our mark.
+class WorldSketch(NamedTuple):
+    """What stands in a world, as sections with a plane: segments (n, 4) of outlines and circles (m, 3), x, y
+    and radius, of what the lidar sees (`seen`), of what it misses but the robot touches (`missed`), and of
+    what moves along paths (n, 2) from where they begin; `keepout` are outlines (n, 2). All in metres."""
 
-    `hidden` are solids below the robot's height that the lidar plane misses: outline (n, 2) or, for a
-    cylinder, an empty outline with centre and radius. `keepout` are outlines (n, 2). All in metres.
-    """
+    seen: Sequence[tuple[Array, Array]]
+    missed: Sequence[tuple[Array, Array]]
+    moving: Sequence[tuple[tuple[Array, Array], Array]]
+    keepout: Sequence[Array]
+
+
+def draw_world(path: Path, title: str, floor: OccupancyGrid, spawn: SE2, sketch: WorldSketch) -> None:
+    """Write a PNG that carries our mark; `floor` tells the floor that can be reached from the rest."""
     with style.styled():
-        figure, axes = map_figure(grid.extent())
-        draw_grid(axes, grid)
-        for outline, center, radius in hidden:
-            patch = Circle(center, radius) if radius > 0.0 else Polygon(outline)
-            patch.set(facecolor=style.ODOMETRY, edgecolor=style.ODOMETRY, alpha=0.7)
-            axes.add_patch(patch)
-        for outline in keepout:
+        figure, axes = map_figure(floor.extent())
+        shade = np.full((*floor.shape, 3), to_rgb(style.PAPER))
+        shade[floor.cells == UNKNOWN] = to_rgb(style.GROUND)
+        show_image(axes, shade, floor)
+        kinds: list[tuple[Any, str, Sequence[tuple[Array, Array]]]] = [
+            ({"facecolor": style.INK, "edgecolor": style.INK}, "seen by the lidar", sketch.seen),
+            ({"color": style.ODOMETRY, "alpha": 0.7}, "too low or too high for it", sketch.missed),
+            ({"color": style.GOOD, "alpha": 0.9}, "moves along the line", [one for one, _ in sketch.moving]),
+        ]
+        handles: list[Artist] = []
+        for look, label, sections in kinds:
+            for segments, circles in sections:
+                axes.add_collection(PatchCollection(_patches(segments, circles), linewidth=0.8, **look))
+            if sections:
+                handles.append(Patch(**look, label=label))
+        for _, way in sketch.moving:
+            axes.plot(*way.T, color=style.GOOD, linewidth=1.0, linestyle=":")
+        for outline in sketch.keepout:
             axes.add_patch(Polygon(outline, fill=False, edgecolor=style.INK, linestyle="--"))
+        if sketch.keepout:
+            handles.append(Patch(fill=False, edgecolor=style.INK, linestyle="--", label="keep-out area"))
         draw_start(axes, spawn)
         axes.set_title(title)
+        figure.legend(handles=handles, loc="outside lower center", ncol=2)
+        figure.set_figheight(figure.get_figheight() + 0.25 * -(-len(handles) // 2))
         style.save_png(figure, path, PICTURE_MARK)
+
+
+def _patches(segments: Array, circles: Array) -> list[Artist]:
+    """Sections as filled shapes: circles, and the polygon of segments (n, 4) that join end to end; of others,
+    as of a mesh, each line."""
+    shapes: list[Artist] = [Circle((x, y), r) for x, y, r in circles]
+    if len(segments) and np.allclose(segments[:, 2:], np.roll(segments[:, :2], -1, axis=0)):
+        return [*shapes, Polygon(segments[:, :2])]
+    return [*shapes, *(Polygon(line.reshape(2, 2), closed=False) for line in segments)]
 
 
 def legend_above(axes: Axes, handles: Sequence[Artist] | None = None) -> None:

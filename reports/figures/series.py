@@ -20,7 +20,7 @@ from turtlebag.reports.metrics.trajectory import PosePairs
 Span = tuple[int, int]
 LINEAR_TO = 3.0
 """Errors [cm, degrees] up to this have a linear axis."""
-AXIS_TOLD = f"An axis that goes beyond {LINEAR_TO:g} is logarithmic above 1."
+AXIS_TOLD = f"If an error exceeds {LINEAR_TO:g}, its axis is logarithmic from 1 upwards."
 """What every caption of such an axis says."""
 
 

@@ -70,7 +70,7 @@ STYLE: dict[Any, Any] = {
     "path.simplify_threshold": 0.4,
 }
 
-WIDTH_IN = 5.4
+WIDTH_IN = 4.4
 
 # From fine to bad. Both ends keep their hue and their contrast when a dark page inverts lightness.
 FINE_TO_BAD = LinearSegmentedColormap.from_list("fine_to_bad", ["#0072b2", "#7f86a8", "#b98a6a", "#d55e00"])

@@ -35,6 +35,16 @@ addEventListener("beforeprint", () => {
   for (const box of folded) box.open = true;
 });
 addEventListener("afterprint", () => { for (const box of folded) box.open = false; });
+// Cells stay sharp where they are enlarged; in a smaller picture a wall of one cell must not fall between pixels.
+const sharpen = (image, size) => {
+  const seen = new ResizeObserver(() => image.classList.toggle("enlarged", image.getBoundingClientRect().width >= size));
+  seen.observe(image.closest("svg"));
+};
+for (const image of document.querySelectorAll("svg image")) {
+  const picture = new Image();
+  picture.onload = () => sharpen(image, picture.naturalWidth);
+  picture.src = image.getAttribute("href") ?? image.getAttributeNS("http://www.w3.org/1999/xlink", "href");
+}
 // Maps that answer the mouse: coordinates under it, a click as a pose, a drag as a pose with heading.
 for (const box of document.querySelectorAll(".pointer")) {
   const svg = box.querySelector("svg"), out = box.querySelector("output"), arrow = box.querySelector(".aim");

@@ -42,7 +42,7 @@ def test_the_version_is_told(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
     assert ended.value.code == 0
-    assert capsys.readouterr().out == "turtlebag 0.1.0\n"
+    assert capsys.readouterr().out == "turtlebag 0.2.0\n"
 
 
 ACTIONS = [

@@ -15,7 +15,7 @@ from turtlebag.reports.compare import draw_comparison
 from turtlebag.reports.drawing import decisions_of, draw_localise, draw_map, draw_run
 from turtlebag.reports.figures import runs
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.figures.maps import length_text, scale_length
+from turtlebag.reports.figures.maps import darkest, length_text, scale_length
 from turtlebag.reports.figures.particles import particles, zoom_box
 from turtlebag.reports.figures.series import error_axis
 from turtlebag.reports.figures.style import BAD, LINES, SERIES, new_figure
@@ -199,10 +199,21 @@ def test_the_caption_of_every_axis_of_errors_says_where_it_is_logarithmic(tmp_pa
     draw_comparison(load_stage(run), load_stage(run), runs_compared)
     draw_comparison(load_stage(built), load_stage(built), maps_compared)
     captions += [runs_compared.kept["errors"][0], maps_compared.kept["apart"][0]]
-    assert [caption for caption in captions if "beyond 3 is logarithmic above 1." not in caption] == []
+    said = "exceeds 3, its axis is logarithmic from 1 upwards."
+    assert [caption for caption in captions if said not in caption] == []
 
 
 def test_the_nearest_place_of_a_roomy_path_does_not_look_bad():
     path = Trajectory.untimed(SE2.from_xyt(np.linspace(0.0, 1.0, 5), np.zeros(5), np.zeros(5)))
     axes = runs.clearance_on_map(None, path, np.array([0.9, 0.8, 0.7, 0.8, 0.9])).axes[0]
     assert BAD not in {line.get_color() for line in axes.get_lines()}
+
+
+def test_a_wall_of_one_cell_stays_in_a_picture_with_too_few_pixels():
+    image = np.ones((70, 101, 3))
+    image[:, 50], image[33, :] = 0.0, 0.2
+    small = darkest(image, 3)
+    assert small.shape == (24, 34, 3)
+    assert (small[:, 50 // 3] == 0.0).all()
+    assert (np.delete(small[33 // 3], 50 // 3, axis=0) == 0.2).all()
+    assert (small == 1.0).all(axis=-1).sum() == 23 * 33

@@ -116,7 +116,7 @@ class NavigateRequest(Request):
 
     world: World
     robot: Robot = None
-    seed: Seed = 0
+    seed: Seed = 1
     start: Start = None
     task: Annotated[
         str,

@@ -145,6 +145,6 @@ class PlanRequest(Request):
         ),
     ] = None
     compare: Annotated[bool, flag("run every planner and compare the paths")] = False
-    seed: Seed = 0
+    seed: Seed = 1
     config: ConfigFile = None
     settings: Overrides = Field({})

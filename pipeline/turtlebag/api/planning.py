@@ -31,7 +31,7 @@ class Planner:
         robot: PathLike | None = None,
         *,
         planner: str | type | None = None,
-        seed: int = 0,
+        seed: int = 1,
         config: PathLike | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> None:
