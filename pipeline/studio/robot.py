@@ -23,7 +23,7 @@ from turtlebag.pipeline.studio.pilot import Pilot, Task, WiggleDriver
 from turtlebag.pipeline.studio.publisher import Publisher
 from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.view import Level, View
+from turtlebag.pipeline.studio.view import Level, Stop, View
 from turtlebag.pipeline.studio.visuals import EventLog, Trails, Visuals
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.costmap import Costmap, costmap_from_grid
@@ -62,8 +62,11 @@ class Robot:
         self.run_log = RunLogWriter(folder, self.simulator, self.publisher)
         self.recording: tuple[str, BagWriter] | None = None
         """Name of the bag that is recorded, and the bag."""
+        self.bags: tuple[str, ...] = ()
+        """Names of the bags so far."""
         self._tasks: list[TaskMetrics] = []
         """Metrics of the tasks that are over."""
+        self.waypoints: tuple[Stop, ...] = ()
         self._step = 0
         self.restart()
 
@@ -80,7 +83,6 @@ class Robot:
         self.keepout: tuple[Array, ...] = setup.arena.keepout
         self.boxes = np.zeros((0, 4))
         """Dropped so far, see `View.boxes`."""
-        self.waypoints: tuple[tuple[float, float, float, float | None], ...] | None = None
         self._visuals = Visuals(self.pilot)
         self._doing = ""
         self._news = News("", self.say, self._clock)
@@ -204,7 +206,8 @@ class Robot:
             map_name=None if self.loaded is None else self.loaded.name,
             maps=self.library.maps,
             waypoint_files=self.library.waypoint_files,
-            loaded_waypoints=self.waypoints,
+            bags=self.bags,
+            waypoints=look.waypoints(self.waypoints),
             localised=pilot.localised,
             sure=look.sure(),
             lost=look.lost(),

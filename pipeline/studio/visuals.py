@@ -11,10 +11,11 @@ import numpy as np
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Twist
+from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.goal_states import State
+from turtlebag.pipeline.navigation.initial_pose import on_map
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio.loops_shown import graph_of_mapper
@@ -28,7 +29,10 @@ from turtlebag.pipeline.studio.view import (
     MapLayer,
     Path,
     SectorMarks,
+    Stop,
 )
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.global_plan import fits
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.patrol import GoalSequence
 
@@ -39,6 +43,7 @@ STEP_M, MOST_POINTS = 0.02, 20_000
 FAR_M = 0.02
 """If a loop closure moves the robot farther than this, its path so far is drawn anew."""
 MOST_EVENTS = 500
+NO_ROOM = "in an obstacle, a keep-out area or unknown space"
 
 
 class Trail:
@@ -228,6 +233,16 @@ class Visuals:
         done, running = len(sequence.outcomes), sequence.goal is not None
         return self._cached.get("goals", (sequence, done, running), lambda: _marks(sequence))
 
+    def waypoints(self, stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
+        """Waypoints being edited, with what stands in their way on the loaded map."""
+        pilot = self._pilot
+        if pilot.navigation is None:
+            return stops
+        costmap, model = pilot.navigation.tools.obstacles.static, pilot.kit.robot.model
+        return self._cached.get(
+            "waypoints", (stops, costmap), lambda: tuple(_checked(stop, costmap, model) for stop in stops)
+        )
+
     def sure(self) -> float | None:
         """The share of the scans that the map explains; None while there is none."""
         pilot = self._pilot
@@ -265,6 +280,13 @@ class Visuals:
         if isinstance(driver, NavigationDriver | ExploreDriver):
             return driver.tools.obstacles
         return None if self._pilot.navigation is None else self._pilot.navigation.tools.obstacles
+
+
+def _checked(stop: Stop, costmap: Costmap, model: RobotModel) -> Stop:
+    T_map_base = SE2.from_xyt(stop.x, stop.y, stop.yaw)
+    if not on_map(costmap, T_map_base):
+        return stop._replace(blocked="off the map")
+    return stop if fits(costmap, model, T_map_base) else stop._replace(blocked=NO_ROOM)
 
 
 def _marks(sequence: GoalSequence) -> tuple[GoalMark, ...]:

@@ -51,9 +51,9 @@ export function show(head, deskName) {
     bag.dataset.open = String(head.recording);
     bag.elements[1].textContent = head.recording == null ? "Record bag" : "Stop bag";
     bag.elements[0].disabled = head.recording != null;
-    if (head.recording == null && bag.dataset.last) bag.elements[0].value = following(bag.dataset.last);
-    bag.dataset.last = head.recording ?? "";
   }
+  // Another page may have taken a name as well.
+  if (head.recording == null && document.activeElement !== bag.elements[0]) while (head.bags?.includes(bag.elements[0].value)) bag.elements[0].value = following(bag.elements[0].value);
   options(byId("maps"), head.maps ?? [], "the initial map");
   options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's");
   put(byId("sure"), "value", head.lost ? 0 : head.sure ?? 0);

@@ -68,8 +68,9 @@ const TOOLS = {
     },
     release(desk) {
       if (desk.doing.arrow) desk.waypoints.add(round3(desk.doing.arrow));
-      else if (this.moving >= 0) desk.waypoints.choose(this.moving);
+      else desk.waypoints.dropped(Math.max(this.moving, this.turning));
     },
+    drop(desk) { if (desk.waypoints.moving) desk.waypoints.dropped(-1); },
     typed(desk, text) { const pose = numbers(text, 3); if (pose) desk.waypoints.add(pose); return pose; },
   },
   keepout: {
