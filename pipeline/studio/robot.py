@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.drivers import Kit
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.navigation.status_lines import News, verdict
+from turtlebag.pipeline.navigation.status_lines import News, tally, verdict
 from turtlebag.pipeline.navigation.teleop_override import CommandOwner
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.pilot import Pilot, Task, WiggleDriver
@@ -42,9 +42,10 @@ class LoadedMap:
 
 
 class TaskMetrics(RunMetrics):
-    """Those of a task that began so long after the session [s]."""
+    """Those of a task that began so long after the session [s], and why it was broken off, if it was."""
 
     begin_s: float
+    broken_off: NotRequired[str]
 
 
 class Robot:
@@ -156,17 +157,23 @@ class Robot:
             return
         if task.sequence is not None:
             task.sequence.close_all("timeout", why, self.stamp_ns)
-        self.say(f"{task.kind} {why}")
-        self._task_over(task)
+        self._task_over(task, why)
 
-    def _task_over(self, task: Task) -> None:
+    def _task_over(self, task: Task, broken_off: str = "") -> None:
+        """Its metrics and a line; a task that was broken off has neither succeeded nor failed."""
         if isinstance(task.driver, WiggleDriver):
             self.say(task.driver.convergence)
         explorer = task.explorer
         grid = None if explorer is None else explorer.grid
         metrics = self.run_log.end(task, grid)
         if metrics is not None:
-            self._tasks.append({"begin_s": round(seconds(task.begin_ns), 6), **metrics})
+            about: TaskMetrics = {"begin_s": round(seconds(task.begin_ns), 6), **metrics}
+            if broken_off:
+                about["broken_off"] = broken_off
+            self._tasks.append(about)
+        if broken_off:
+            self.say(f"{task.kind} {broken_off}" + (f": {tally(metrics)}" if metrics is not None else ""))
+        elif metrics is not None:
             self.say(verdict(metrics), "info" if metrics["true_success"] else "warning")
         self.publisher.path = None
         self.pilot.end_task()

@@ -138,6 +138,16 @@ def test_a_waypoint_where_the_robot_cannot_stand_says_so_at_once(tmp_path, true_
         assert [stop.blocked for stop in person.view.waypoints] == ["", "", ""]
 
 
+def test_a_task_that_is_cancelled_has_neither_succeeded_nor_failed(tmp_path):
+    with at_the_studio(tmp_path / "live") as person:
+        person.do("avoid")
+        person.wait(1.0)
+        person.do("cancel")
+        assert person.lines[-1].startswith("avoid cancelled: no collisions, ")
+        assert not any(line.startswith(("succeeded", "failed")) for line in person.lines)
+        assert person.session.metrics()["tasks"][0]["broken_off"] == "cancelled"
+
+
 def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, true_map):
     with at_the_studio(tmp_path / "live", map_path=true_map) as person:
         start = person.view
