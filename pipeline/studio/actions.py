@@ -257,6 +257,7 @@ def waypoints_load(robot: Robot, action: inputs.Load) -> str:
 def kidnap(robot: Robot, action: inputs.At) -> str:
     """Kidnap the robot."""
     robot.simulator.carry(SE2.from_xyt(*action.pose))
+    robot.carried()
     x, y, yaw = action.pose
     return f"kidnapped to {x:.2f}, {y:.2f}, {yaw:.2f}"
 

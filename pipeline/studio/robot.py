@@ -181,6 +181,10 @@ class Robot:
     def _clock(self, stamp_ns: int, doing: str) -> None:
         self._doing = doing
 
+    def carried(self) -> None:
+        """The robot was carried: what it last said of its place does not hold here."""
+        self._visuals.carried()
+
     def interrupt(self) -> None:
         """Nothing takes long."""
 

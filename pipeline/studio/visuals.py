@@ -156,6 +156,7 @@ class Visuals:
 
     def __init__(self, pilot: Pilot) -> None:
         self._pilot, self._cached = pilot, Cached()
+        self._stale: tuple[object, int] | None = None
         self.shown: GoalSequence | None = None
         """The goals of the last task, if it had some."""
 
@@ -244,11 +245,24 @@ class Visuals:
         )
 
     def sure(self) -> float | None:
-        """The share of the scans that the map explains; None while there is none."""
+        """The share of the scans that the map explains; None while none has been compared."""
         pilot = self._pilot
         if pilot.localiser is not None:
-            return pilot.localiser.amcl.agreement if pilot.localised else None
+            known = pilot.localised and self._updates != self._stale
+            return pilot.localiser.amcl.agreement if known else None
         return None if pilot.slam is None else pilot.slam.fit
+
+    def carried(self) -> None:
+        """The last comparison of a scan with the map was made elsewhere."""
+        self._stale = self._updates
+
+    @property
+    def _updates(self) -> tuple[object, int] | None:
+        """The filter, and how many scans it has used."""
+        localiser = self._pilot.localiser
+        if localiser is None or not isinstance(localiser.amcl, Amcl):
+            return None
+        return localiser.amcl, localiser.amcl.watch.updates
 
     def lost(self) -> str | None:
         """Why the robot does not trust its pose; None when it does, or has none."""

@@ -138,6 +138,23 @@ def test_a_waypoint_where_the_robot_cannot_stand_says_so_at_once(tmp_path, true_
         assert [stop.blocked for stop in person.view.waypoints] == ["", "", ""]
 
 
+def test_a_robot_that_was_carried_claims_no_fit_until_it_has_looked(tmp_path, true_map):
+    with at_the_studio(tmp_path / "live", map_path=true_map) as person:
+        person.do("pose_estimate", pose=[-2.0, -0.5, 0.0])
+        person.do("drive", w=0.5)
+        person.wait(3.0)
+        person.do("stop")
+        person.wait(0.5)
+        assert person.view.sure > 0.5
+        person.do("kidnap", pose=[1.5, 0.5, 1.0])
+        assert person.view.sure is None
+        person.wait(0.5)
+        assert person.view.sure is None
+        person.do("drive", w=0.5)
+        person.wait(3.0)
+        assert person.view.sure is not None
+
+
 def test_a_task_that_is_cancelled_has_neither_succeeded_nor_failed(tmp_path):
     with at_the_studio(tmp_path / "live") as person:
         person.do("avoid")

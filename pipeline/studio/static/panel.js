@@ -82,7 +82,7 @@ function placeOf({ map, localised, sure, lost, mapping }) {
   if (lost) return lost;
   if (sure != null) return `${Math.round(100 * sure)} % of the scan fits the map`;
   if (mapping) return "on the growing map";
-  return map == null ? "no map" : localised ? "on the map" : "no pose yet";
+  return map == null ? "no map" : localised ? "fit not known: it has not moved yet" : "no pose yet";
 }
 
 function pills(told) {
