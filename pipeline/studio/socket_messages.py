@@ -11,7 +11,7 @@ import math
 import struct
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -101,9 +101,9 @@ def hello(scene: Scene, *, maps: tuple[str, ...], driver: bool) -> bytes:
     return message.encoded()
 
 
-def bye(reason: str) -> bytes:
-    """The last message, which says why it is the last."""
-    return Message("bye", reason=reason).encoded()
+def bye(reason: str, after: Sequence[str] = ()) -> bytes:
+    """The last message, which says why it is the last, and what to do `after` the session."""
+    return Message("bye", reason=reason, after=list(after)).encoded()
 
 
 class Frames:

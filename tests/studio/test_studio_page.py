@@ -263,6 +263,16 @@ def test_the_end_of_the_studio_is_said_with_its_reason(browser, session):
     browser.leave()
 
 
+def test_a_session_that_was_ended_says_where_its_files_are(browser, session):
+    lines = ["Its files are in /here", "turtlebag studio --replay here/session.yaml --out there"]
+    with Served(session, after=lambda: lines) as server:
+        open_page(browser, server)
+    until(lambda: shown_text(browser, "over").startswith("The studio was stopped.Its files are in /here"))
+    assert browser.evaluate("document.getElementById('broken').hidden")
+    assert lines[1] in shown_text(browser, "over")
+    browser.leave()
+
+
 def test_an_empty_session_says_what_to_do_first(browser, session, served):
     session.told = {"map": None, "map_name": None, "maps": (), "localised": False}
     open_page(browser, served)

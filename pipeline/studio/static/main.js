@@ -4,7 +4,7 @@ import { attachBag, bagged } from "./bag.js";
 import { draw, LAYERS, readColours } from "./draw.js";
 import { Drive } from "./drive.js";
 import { byId, put } from "./elements.js";
-import { allow, keepouts, log, refuse, show } from "./panel.js";
+import { allow, capital, keepouts, log, refuse, show } from "./panel.js";
 import { listen } from "./pointer.js";
 import { begin, dark, scene, take } from "./scene.js";
 import { Connection } from "./socket.js";
@@ -111,8 +111,13 @@ function arrived(header, blobs) {
 }
 
 /** The socket opened, or closed with a reason. */
-function told(open, reason) {
-  byId("broken").hidden = open;
+function told(open, reason, after = []) {
+  const [where, ...commands] = after, over = byId("over");
+  over.hidden = !after.length;
+  over.querySelector("strong").textContent = capital(`${reason}.`);
+  over.querySelector("p").textContent = where ?? "";
+  over.querySelector("pre").textContent = commands.join("\n");
+  byId("broken").hidden = open || after.length > 0;
   document.body.classList.toggle("away", !open);
   byId("again").hidden = !reason;
   byId("broken").firstElementChild.textContent = reason ? `Closed: ${reason}` : "Connection lost. The robot is stopped. Reconnecting …";

@@ -6,7 +6,7 @@ import { scene } from "./scene.js";
 
 const MOST_LINES = 500;
 const text = (id, words) => put(byId(id), "textContent", words);
-const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
+export const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 
 /** Whether there is a map, finished or growing; no map is sent as one cell. */
 const mapped = () => scene.grids.map?.w > 1;
