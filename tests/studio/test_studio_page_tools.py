@@ -173,7 +173,7 @@ def test_keep_outs_boxes_and_the_robot_are_placed_by_hand(page, session):
         drag(page, place)
     page.key("Backspace")
     drag(page, places[2])
-    drag(page, places[0])
+    page.key("Enter")
     (asked,) = until(lambda: session.asked("keepout"))
     assert np.allclose(asked["outlines"], [corners], atol=0.02)
     session.told = {"keepout": (np.array(corners),)}

@@ -228,6 +228,7 @@ document.addEventListener("keydown", (event) => {
   else if (key === "0") showAll();
   else if (low === "f") follow(!view.follow);
   else if (key === "Backspace") desk.tool.back?.(desk);
+  else if (key === "Enter" && !target.matches("button, summary") && desk.tool.enter?.(desk)) event.preventDefault();
   else if (key === "Enter" && target === stage && desk.tool.form) byId("typed").focus(), event.preventDefault();
   else if (key === "Escape") desk.drop() || desk.choose("view");
   else if (KEYS[low] && !document.querySelector(`#tools [data-tool=${KEYS[low]}]`).disabled) desk.choose(KEYS[low]);

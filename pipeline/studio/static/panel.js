@@ -53,7 +53,7 @@ export function show(head, deskName) {
     bag.elements[0].disabled = head.recording != null;
   }
   // Another page may have taken a name as well.
-  if (head.recording == null && document.activeElement !== bag.elements[0]) while (head.bags?.includes(bag.elements[0].value)) bag.elements[0].value = following(bag.elements[0].value);
+  if (head.recording == null && document.activeElement !== bag.elements[0]) while (head.bags?.includes(bag.elements[0].value)) bag.elements[0].value = nextName(bag.elements[0].value);
   options(byId("maps"), head.maps ?? [], "the initial map");
   options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's");
   put(byId("sure"), "value", head.lost ? 0 : head.sure ?? 0);
@@ -73,7 +73,7 @@ export function allow(may) {
   for (const tool of document.querySelectorAll("#tools [data-acts]")) put(tool, "disabled", !may);
 }
 
-const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
+const nextName = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
 
 /** What has blocked the session for more than a second. */
 const busyWith = (what) => what === "tick" ? "Computing …" : `Busy: ${what?.replaceAll("_", " ")} …`;
@@ -104,9 +104,20 @@ function sectors(told) {
   text("sectors", `Left ${far(told.left)}, front ${far(told.front)}, right ${far(told.right)}: ${told.decision}`);
 }
 
+let following = true;
+
+/** The log follows its end, also when its size changes, until somebody scrolls up in it. */
+function toEnd() {
+  if (following) byId("lines").scrollTop = byId("lines").scrollHeight;
+}
+byId("lines").addEventListener("scroll", ({ target }) => {
+  following = target.scrollTop + target.clientHeight > target.scrollHeight - 8;
+});
+new ResizeObserver(toEnd).observe(byId("lines"));
+
 /** Lines of the event log: [t, text, level]. */
 export function log(events) {
-  const lines = byId("lines"), atEnd = lines.scrollTop + lines.clientHeight > lines.scrollHeight - 8;
+  const lines = byId("lines");
   for (const [t, words, level] of events) {
     const line = document.createElement("li"), time = document.createElement("time");
     time.textContent = t.toFixed(1);
@@ -116,7 +127,7 @@ export function log(events) {
     lines.append(line);
   }
   while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
-  if (atEnd) lines.scrollTop = lines.scrollHeight;
+  toEnd();
 }
 
 /** Show a refusal on the map; an empty one clears it. */

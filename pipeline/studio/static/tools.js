@@ -74,7 +74,7 @@ const TOOLS = {
     typed(desk, text) { const pose = numbers(text, 3); if (pose) desk.waypoints.add(pose); return pose; },
   },
   keepout: {
-    hint: "Keep-out: click its corners, then the first one again. Backspace removes the last.",
+    hint: "Keep-out: click its corners, then press Enter or click the first one again. Backspace removes the last.",
     form: "x, y, x, y, x, y, ...",
     outline: [],
     hover(desk, at) { desk.doing = { outline: this.outline, tip: at }; },
@@ -86,6 +86,11 @@ const TOOLS = {
       }
     },
     back(desk) { this.outline.pop(); desk.doing = { outline: this.outline }; },
+    enter(desk) {
+      if (this.outline.length < 3) return false;
+      this.close(desk);
+      return true;
+    },
     close(desk) {
       desk.send({ do: "keepout", outlines: [...scene.keepouts.map((area) => area.map(round3)), this.outline] });
       this.drop(desk);
