@@ -131,7 +131,7 @@ async def on_patrol(url: str, laps: int) -> Viewer:
 
 def go_round(client: Viewer, laps: int) -> None:
     """Ask for a patrol of the waypoints that are loaded."""
-    stops = [{"pose": [x, y, yaw]} for x, y, yaw, _ in client.picture.waypoints]
+    stops = [{"pose": [x, y, yaw]} for x, y, yaw, *_ in client.picture.waypoints]
     client.ask("patrol", waypoints=stops, laps=laps)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shlex
 from collections.abc import Iterable, Sequence
 from itertools import count
 from pathlib import Path
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from socket import socket
 
     from turtlebag.pipeline.studio.access import Access
+    from turtlebag.pipeline.studio.session import Session
     from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup
 
 EXAMPLE = StudioRequest.EXAMPLE
@@ -99,7 +101,15 @@ def _live(
         studio_output(setup, Output(out, args.force, args.command_line), say=log.info) as session,
     ):
         try:
-            asyncio.run(serve(session, access, sockets, interrupted=interrupted, ready=ready))
+            live = serve(
+                session,
+                access,
+                sockets,
+                interrupted=interrupted,
+                ready=ready,
+                after=lambda: _after(out, setup, session),
+            )
+            asyncio.run(live)
             session.close()
             require_no_hangup(interrupted)
         except (OSError, Unfinished):  # a full disk: the output cannot be finished, what there is is kept
@@ -110,6 +120,26 @@ def _live(
     if failure is not None:
         raise failure
     return 128 + interrupted[0] if interrupted else 0
+
+
+def _after(out: Path, setup: StudioSetup | BagSetup, session: Session) -> list[str]:
+    """Where the files of a session are, and commands: map and report on the bag, replay the session."""
+    from turtlebag.pipeline.studio.setup import BagSetup
+
+    bag, edits = next((out / "bags" / name for name in reversed(session.view().bags)), None), ""
+    if isinstance(setup, BagSetup):
+        bag = setup.bag
+        marks = session.view().bag
+        if marks is not None and marks.edits:
+            edits = f" --edits {shlex.quote(str(out / 'edits.yaml'))}"
+    mapped, page, recorded, again = map(
+        shlex.quote, (f"{out}-map", f"{out}-report", f"{out / 'session.yaml'}", f"{out}-again")
+    )
+    lines = [f"Its files are in {out.resolve()}"]
+    if bag is not None:
+        lines.append(f"turtlebag map {shlex.quote(str(bag))}{edits} --out {mapped}")
+        lines.append(f"turtlebag report {mapped} --out {page}")
+    return [*lines, f"turtlebag studio --replay {recorded} --out {again}"]
 
 
 def _replay(request: StudioRequest, args: argparse.Namespace) -> int:

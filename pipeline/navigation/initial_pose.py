@@ -11,11 +11,16 @@ from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.global_plan import fits
 
 
-def require_on_map(option: str, T_map_base: SE2, costmap: Costmap, map_path: Path) -> None:
-    """InputError when the pose is off the map."""
+def on_map(costmap: Costmap, T_map_base: SE2) -> bool:
+    """Whether a pose lies on the map."""
     gx, gy = (costmap.T_grid_map @ T_map_base.xy).tolist()
     width, height = costmap.size
-    if not (0.0 <= gx < width and 0.0 <= gy < height):
+    return 0.0 <= gx < width and 0.0 <= gy < height
+
+
+def require_on_map(option: str, T_map_base: SE2, costmap: Costmap, map_path: Path) -> None:
+    """InputError when the pose is off the map."""
+    if not on_map(costmap, T_map_base):
         raise InputError(f"{_text(option, T_map_base)}: is off the map {map_path}")
 
 

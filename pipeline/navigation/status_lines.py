@@ -82,6 +82,11 @@ def _ended(outcome: GoalOutcome, truth: Truth, touched: bool) -> str:
 
 def verdict(metrics: RunMetrics) -> str:
     """The outcome of a run by ground truth, in one line, from its metrics."""
+    return f"{'succeeded' if metrics['true_success'] else 'failed'}: {tally(metrics)}"
+
+
+def tally(metrics: RunMetrics) -> str:
+    """What a run came to by ground truth, without a verdict: one that was broken off has none."""
     parts = []
     if goals := metrics["goals"]:
         believed = [goal for goal in goals if goal["status"] == "reached"]
@@ -93,7 +98,7 @@ def verdict(metrics: RunMetrics) -> str:
     if "area" in metrics:
         parts.append(f"{metrics['area']['seen_m2']:.1f} m2 of floor seen")
     parts.append(f"{metrics['distance_m']:.2f} m in {metrics['time_s']:.1f} simulated seconds")
-    return f"{'succeeded' if metrics['true_success'] else 'failed'}: {', '.join(parts)}"
+    return ", ".join(parts)
 
 
 def _collisions(visible: int, low: int) -> str:

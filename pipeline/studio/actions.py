@@ -27,6 +27,7 @@ from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.pilot import Task, WiggleDriver, changes_only
 from turtlebag.pipeline.studio.robot import LoadedMap, Robot
+from turtlebag.pipeline.studio.view import Stop
 from turtlebag.planners.costmap import polygon_mask
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -76,6 +77,7 @@ def record(robot: Robot, action: inputs.Save) -> str:
     }
     bag = BagWriter(folder, custom=custom, lidars=setup.spec.lidars)
     robot.recording, publisher.bag = (action.name, bag), bag
+    robot.bags = (*robot.bags, action.name)
     bag.static_transforms(robot.stamp_ns, static_transforms(setup.spec))
     if publisher.grid is not None:
         bag.map(robot.stamp_ns, publisher.grid)
@@ -233,6 +235,12 @@ def cancel(robot: Robot, action: inputs.Plain) -> str:
     return ""
 
 
+def waypoints(robot: Robot, action: inputs.Waypoints) -> str:
+    """Show the waypoints of a page to all of them."""
+    robot.waypoints = tuple(Stop(*stop.pose, stop.wait) for stop in action.waypoints)
+    return ""
+
+
 def waypoints_save(robot: Robot, action: inputs.WaypointsSave) -> str:
     """Save waypoints."""
     robot.library.save_waypoints(action.name, action.waypoints)
@@ -242,13 +250,14 @@ def waypoints_save(robot: Robot, action: inputs.WaypointsSave) -> str:
 def waypoints_load(robot: Robot, action: inputs.Load) -> str:
     """Show waypoints."""
     loaded = robot.library.load_waypoints(action.name)
-    robot.waypoints = tuple((*waypoint.written, waypoint.wait) for waypoint in loaded)
+    robot.waypoints = tuple(Stop(*waypoint.written, waypoint.wait) for waypoint in loaded)
     return f"waypoints {action.name or 'from the tutorial'} loaded"
 
 
 def kidnap(robot: Robot, action: inputs.At) -> str:
     """Kidnap the robot."""
     robot.simulator.carry(SE2.from_xyt(*action.pose))
+    robot.carried()
     x, y, yaw = action.pose
     return f"kidnapped to {x:.2f}, {y:.2f}, {yaw:.2f}"
 
@@ -280,8 +289,8 @@ ACTIONS: dict[str, Callable[[Robot, Any], str]] = {
     act.__name__: act
     for act in (
         drive, stop, release, record, record_stop, reset, end, map_start, map_stop, map_save, map_load,
-        pose_estimate, localise_global, goal, patrol, waypoints_save, waypoints_load, avoid, explore, wiggle,
-        cancel, kidnap, box, keepout,
+        pose_estimate, localise_global, goal, patrol, waypoints, waypoints_save, waypoints_load, avoid,
+        explore, wiggle, cancel, kidnap, box, keepout,
     )
 }  # fmt: skip
 """The actions by `do`."""

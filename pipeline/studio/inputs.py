@@ -82,6 +82,13 @@ class Stopover(Settings):
 Stopovers = Annotated[list[Stopover], Field(min_length=1, max_length=MOST_WAYPOINTS)]
 
 
+class Waypoints(Settings):
+    """The waypoints being edited, replacing earlier ones: every page shows them."""
+
+    do: Literal["waypoints"]
+    waypoints: Annotated[list[Stopover], Field(max_length=MOST_WAYPOINTS)]
+
+
 class Patrol(Settings):
     """A patrol of waypoints."""
 
@@ -146,7 +153,10 @@ class LoopAdd(_Pair):
     pose: Pose
 
 
-Input = Drive | Plain | Save | Load | At | Patrol | WaypointsSave | DropBox | Keepout | Seek | Scans | LoopAdd
+Input = (
+    Drive | Plain | Save | Load | At | Patrol | Waypoints | WaypointsSave | DropBox | Keepout | Seek | Scans
+    | LoopAdd
+)  # fmt: skip
 
 
 def _zero_or_more_than_a_tenth(factor: float) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -35,7 +36,12 @@ class ShownGraph:
     keys: NDArray[np.int64]
     loops: tuple[ShownLoop, ...]
 
-    def laid(self, log: Recording, scan: int, place: int) -> LoopMarks:
+    @property
+    def pairs(self) -> set[tuple[int, int]]:
+        """The scan numbers of each loop."""
+        return {(int(self.keys[loop.i]), int(self.keys[loop.j])) for loop in self.loops}
+
+    def laid(self, log: Recording, scan: int, place: int, motion: SE2 | None = None) -> LoopMarks:
         """A scan overlaid on a place by the loop between them or, without one, by the map.
 
         InputError for scans that are no key scans.
@@ -50,8 +56,8 @@ class ShownGraph:
                 off = (measured.inverse() @ T_j_i).xyt
                 left = f"{np.hypot(off[0], off[1]):.3f} m, {np.rad2deg(abs(off[2])):.2f} deg residual"
                 T_j_i, told = measured, f"{told}; {left}"
-        laid = T_map_keys[j] @ T_j_i @ points_of(log, scan)
-        return LoopMarks(scan, place, laid, T_map_keys[j] @ points_of(log, place), told)
+        laid = T_map_keys[j] @ T_j_i @ points_of(log, scan, motion)
+        return LoopMarks(scan, place, laid, T_map_keys[j] @ points_of(log, place, motion), told)
 
     def _key(self, scan: int) -> int:
         key = int(np.searchsorted(self.keys, scan))
@@ -90,7 +96,13 @@ def _shown(T_map_keys: SE2, keys: NDArray[np.int64], loops: list[ShownLoop]) -> 
     return ShownGraph(Graph(T_map_keys.xyt.copy(), edges), keys, tuple(loops))
 
 
-def points_of(recording: Recording, scan: int) -> Array:
-    """Where the beams of a scan ended, (n, 2) in the base frame."""
+def points_of(recording: Recording, scan: int, motion: SE2 | None = None) -> Array:
+    """Where the beams of a scan ended, (n, 2) in the base frame at its stamp.
+
+    `motion` (n_scans, knots) is the base's during each sweep; without it a sweep is taken as one instant.
+    """
     seen = recording.scan(scan)
-    return recording.lidars[seen.sensor].T_base_lidar @ seen.points_lidar()
+    T_base_lidar, hit = recording.lidars[seen.sensor].T_base_lidar, seen.valid()
+    knots = np.zeros((1, 3)) if motion is None else motion[scan].xyt
+    origins, directions = deskewed(seen.lidar.directions, seen.lidar.shares, T_base_lidar.xyt, knots)
+    return origins[hit] + seen.ranges[hit, None] * directions[hit]

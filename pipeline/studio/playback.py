@@ -15,8 +15,9 @@ import yaml
 
 from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Scan, Stamps, Trajectory
+from turtlebag.datasets.types import Recording, Scan, Stamps, Trajectory
 from turtlebag.pipeline.slam.graph.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
 from turtlebag.pipeline.slam.mapper import run_slam
 from turtlebag.pipeline.slam.online.mapper import Mapper
@@ -49,11 +50,16 @@ class Online:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """The map on display; only a map of the whole bag has a `trajectory` and `edits`."""
+    """The map on display, and the log that it was made of, its sensors corrected as far as the mapper does.
+
+    Only a map of the whole bag has a `trajectory`, `edits`, and the `motion` during sweeps.
+    """
 
     layer: MapLayer
     graph: ShownGraph
     T_map_odom: SE2
+    log: Recording
+    motion: SE2 | None = None
     trajectory: Trajectory | None = None
     edits: Edits | None = None
 
@@ -233,7 +239,7 @@ class Playback:
             return
         mapper = self._online.mapper
         graph = graph_of_mapper(mapper, self._online.first)
-        self._drawn = Drawn(MapLayer(mapper.map()), graph, mapper.T_map_odom)
+        self._drawn = Drawn(MapLayer(mapper.map()), graph, mapper.T_map_odom, self._log)
         self._trails["slam"].replace(mapper.trajectory.poses.xy)
 
     def _build(self) -> str:
@@ -245,7 +251,9 @@ class Playback:
         except InputError as error:
             raise InputError(str(error).removeprefix("--edits: ")) from None
         graph = graph_of(result)
-        built = Drawn(MapLayer(result.grid), graph, SE2.identity(), result.trajectory, self._edits)
+        of, whole = result.session, (result.trajectory, self._edits)
+        built = Drawn(MapLayer(result.grid), graph, SE2.identity(), of.recording, of.motion, *whole)
+        self._explain(built)
         self._drawn = self._built = built
         self._online = self._loop = None
         self._trails["slam"].replace(result.trajectory.poses.xy)
@@ -257,6 +265,19 @@ class Playback:
                 refused += 1
         told = f"{result.check.verdict} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
         return f"{told}; {refused} of the added loops rejected" if refused else told
+
+    def _explain(self, built: Drawn) -> None:
+        """Say why there are loops that the map before did without, after one was rejected."""
+        before, edits = self._built, built.edits
+        if before is None or before.edits is None or edits is None or edits.reject == before.edits.reject:
+            return
+        more = len(built.graph.pairs - before.graph.pairs)
+        if more:
+            self.say(
+                f"{counted(more, 'other loop')} instead of the rejected one: without it the path there is "
+                "less certain, so the mapper tries places that it did not need before. Reject those that are "
+                "wrong as well"
+            )
 
     def _map_save(self, name: str) -> str:
         """Save the map of the whole bag, built first if the loop edits have changed."""
@@ -272,7 +293,7 @@ class Playback:
     def _show(self, action: inputs.Scans) -> str:
         if self._drawn is None:
             raise InputError("loop_show: no graph yet; map the bag first")
-        self._loop = self._drawn.graph.laid(self._log, action.scan, action.place)
+        self._loop = self._drawn.graph.laid(self._drawn.log, action.scan, action.place, self._drawn.motion)
         return ""
 
     def _reject(self, action: inputs.Scans) -> str:
@@ -345,8 +366,10 @@ class Playback:
         scan = self._head.scan
         if scan < 0:
             return None
-        of = (scan, *T_map_base.xyt.tolist())
-        return self._cached.get("scan", of, lambda: T_map_base @ points_of(self._log, scan))
+        drawn = self._drawn
+        log, motion = (self._log, None) if drawn is None else (drawn.log, drawn.motion)
+        of = (log, scan, *T_map_base.xyt.tolist())
+        return self._cached.get("scan", of, lambda: T_map_base @ points_of(log, scan, motion))
 
     def _marks(self) -> BagMarks:
         edits = [("reject", loop.scan, loop.place) for loop in self._edits.reject]

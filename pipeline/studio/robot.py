@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired
 
 import numpy as np
 
@@ -16,14 +16,14 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.drivers import Kit
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.navigation.status_lines import News, verdict
+from turtlebag.pipeline.navigation.status_lines import News, tally, verdict
 from turtlebag.pipeline.navigation.teleop_override import CommandOwner
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.pilot import Pilot, Task, WiggleDriver
 from turtlebag.pipeline.studio.publisher import Publisher
 from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.view import Level, View
+from turtlebag.pipeline.studio.view import Level, Stop, View
 from turtlebag.pipeline.studio.visuals import EventLog, Trails, Visuals
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.planners.costmap import Costmap, costmap_from_grid
@@ -42,9 +42,10 @@ class LoadedMap:
 
 
 class TaskMetrics(RunMetrics):
-    """Those of a task that began so long after the session [s]."""
+    """Those of a task that began so long after the session [s], and why it was broken off, if it was."""
 
     begin_s: float
+    broken_off: NotRequired[str]
 
 
 class Robot:
@@ -62,8 +63,11 @@ class Robot:
         self.run_log = RunLogWriter(folder, self.simulator, self.publisher)
         self.recording: tuple[str, BagWriter] | None = None
         """Name of the bag that is recorded, and the bag."""
+        self.bags: tuple[str, ...] = ()
+        """Names of the bags so far."""
         self._tasks: list[TaskMetrics] = []
         """Metrics of the tasks that are over."""
+        self.waypoints: tuple[Stop, ...] = ()
         self._step = 0
         self.restart()
 
@@ -80,7 +84,6 @@ class Robot:
         self.keepout: tuple[Array, ...] = setup.arena.keepout
         self.boxes = np.zeros((0, 4))
         """Dropped so far, see `View.boxes`."""
-        self.waypoints: tuple[tuple[float, float, float, float | None], ...] | None = None
         self._visuals = Visuals(self.pilot)
         self._doing = ""
         self._news = News("", self.say, self._clock)
@@ -154,23 +157,33 @@ class Robot:
             return
         if task.sequence is not None:
             task.sequence.close_all("timeout", why, self.stamp_ns)
-        self.say(f"{task.kind} {why}")
-        self._task_over(task)
+        self._task_over(task, why)
 
-    def _task_over(self, task: Task) -> None:
+    def _task_over(self, task: Task, broken_off: str = "") -> None:
+        """Its metrics and a line; a task that was broken off has neither succeeded nor failed."""
         if isinstance(task.driver, WiggleDriver):
             self.say(task.driver.convergence)
         explorer = task.explorer
         grid = None if explorer is None else explorer.grid
         metrics = self.run_log.end(task, grid)
         if metrics is not None:
-            self._tasks.append({"begin_s": round(seconds(task.begin_ns), 6), **metrics})
+            about: TaskMetrics = {"begin_s": round(seconds(task.begin_ns), 6), **metrics}
+            if broken_off:
+                about["broken_off"] = broken_off
+            self._tasks.append(about)
+        if broken_off:
+            self.say(f"{task.kind} {broken_off}" + (f": {tally(metrics)}" if metrics is not None else ""))
+        elif metrics is not None:
             self.say(verdict(metrics), "info" if metrics["true_success"] else "warning")
         self.publisher.path = None
         self.pilot.end_task()
 
     def _clock(self, stamp_ns: int, doing: str) -> None:
         self._doing = doing
+
+    def carried(self) -> None:
+        """The robot was carried: what it last said of its place does not hold here."""
+        self._visuals.carried()
 
     def interrupt(self) -> None:
         """Nothing takes long."""
@@ -204,7 +217,8 @@ class Robot:
             map_name=None if self.loaded is None else self.loaded.name,
             maps=self.library.maps,
             waypoint_files=self.library.waypoint_files,
-            loaded_waypoints=self.waypoints,
+            bags=self.bags,
+            waypoints=look.waypoints(self.waypoints),
             localised=pilot.localised,
             sure=look.sure(),
             lost=look.lost(),

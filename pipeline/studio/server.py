@@ -167,10 +167,10 @@ class Studio:
         self._session.interrupt()
         self._asked.set()
 
-    async def part(self, reason: str) -> None:
-        """Tell everybody why the session is over, and close."""
+    async def part(self, reason: str, after: Sequence[str]) -> None:
+        """Tell everybody why the session is over and what to do next, and close."""
         for viewer in list(self._viewers):
-            viewer.part(1001, reason)
+            viewer.part(1001, reason, after)
         patience = time.monotonic() + CLOSING_S
         while self._viewers and time.monotonic() < patience:
             await asyncio.sleep(0.02)
@@ -276,10 +276,10 @@ class Viewer(CheckedHandler, WebSocketHandler):
         """The session has refused what this page asked for last."""
         self.error = said
 
-    def part(self, code: int, reason: str) -> None:
-        """Say why, and close."""
+    def part(self, code: int, reason: str, after: Sequence[str] = ()) -> None:
+        """Say why and what to do next, and close."""
         self._parted = True
-        self.send(bye(reason))
+        self.send(bye(reason, after))
         self.close(code, reason[:120])
 
     def drop(self) -> None:
@@ -319,11 +319,13 @@ async def serve(
     ready: Callable[[], None],
     page: Path = PAGE,
     ping_s: float = PING_S,
+    after: Callable[[], Sequence[str]] = tuple,
 ) -> None:
     """Run a session for those who open its page, until it ends or something is in `interrupted`.
 
     `ready` is called when the page can be opened, whose files are below the folder `page`; one that does not
-    answer for `ping_s` is gone. Raises what went wrong in the session.
+    answer for `ping_s` is gone. `after` gives the lines that the pages show at the end: where
+    the files are, and what to do with them. Raises what went wrong in the session.
     """
     studio = Studio(session)
     limits = {"max_header_size": 16 * 1024, "max_body_size": 0}
@@ -341,7 +343,7 @@ async def serve(
     studio.stop()
     try:
         await asyncio.wait([running])
-        await studio.part("the studio was stopped" if interrupted else "the session has ended")
+        await studio.part("the studio was stopped" if interrupted else "the session has ended", after())
         running.result()
     finally:
         await server.close_all_connections()

@@ -11,7 +11,7 @@ import math
 import struct
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,8 +42,8 @@ PATHS = {"odom_path": "odom_path", "slam_path": "slam_path", "true_path": "ghost
 GRIDS = {"map": 255, "costmap": 0}
 """Blobs of tiles, and the value of cells that are not sent because a client takes it for granted."""
 AS_THEY_ARE = (
-    "owner", "task", "state", "recording", "mapping", "maps", "waypoint_files", "localised", "sure", "lost",
-    "goal_index", "goal",
+    "owner", "task", "state", "recording", "mapping", "bags", "maps", "waypoint_files", "localised", "sure",
+    "lost", "goal_index", "goal",
 )  # fmt: skip
 """Fields of a view that have the same name in the header of a frame."""
 GRID_BYTES_A_SECOND = 150_000
@@ -101,9 +101,9 @@ def hello(scene: Scene, *, maps: tuple[str, ...], driver: bool) -> bytes:
     return message.encoded()
 
 
-def bye(reason: str) -> bytes:
-    """The last message, which says why it is the last."""
-    return Message("bye", reason=reason).encoded()
+def bye(reason: str, after: Sequence[str] = ()) -> bytes:
+    """The last message, which says why it is the last, and what to do `after` the session."""
+    return Message("bye", reason=reason, after=list(after)).encoded()
 
 
 class Frames:
@@ -116,7 +116,6 @@ class Frames:
         self._paths: dict[str, tuple[int, int]] = {}
         self._grids = {name: GridTiles(blank) for name, blank in GRIDS.items()}
         self._event = 0
-        self._first = True
 
     def frame(self, view: View, told: Mapping[str, Any]) -> bytes:
         """The message that updates the client to `view`; `told` is added to its header unchanged."""
@@ -138,20 +137,18 @@ class Frames:
             message.header["keepout_sizes"] = [len(outline) for outline in view.keepout]
             message.add("keepout", np.concatenate([np.zeros((0, 2)), *view.keepout]))
         self._tiles(message, view)
-        self._first = False
         return message.encoded()
 
     def _news(self, message: Message, view: View) -> None:
-        """Events since the last frame, and waypoints that were loaded since."""
+        """Events since the last frame, and the waypoints if others are edited since."""
         message.header["events"] = [
             [round(event.t, 3), event.text, event.level]
             for event in view.events
             if event.number > self._event
         ]
         self._event = view.events[-1].number if view.events else 0
-        # A page that comes back has its own list, which may have been edited since.
-        if self._is_new("waypoints", view.loaded_waypoints) and not self._first and view.loaded_waypoints:
-            message.header["waypoints"] = [list(place) for place in view.loaded_waypoints]
+        if self._is_new("waypoints", view.waypoints):
+            message.header["waypoints"] = [list(stop) for stop in view.waypoints]
 
     def _path(self, message: Message, name: str, view: View) -> None:
         version, points = getattr(view, name)

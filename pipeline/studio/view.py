@@ -42,6 +42,17 @@ class GoalMark(NamedTuple):
     status: str
 
 
+class Stop(NamedTuple):
+    """A waypoint being edited, in the map frame: its wait [s], None for that of patrols, and why the robot
+    cannot stand there; empty if it can, or as long as no map is loaded."""
+
+    x: float
+    y: float
+    yaw: float
+    wait: float | None
+    blocked: str = ""
+
+
 class SectorMarks(NamedTuple):
     """The three sectors of the scan, least range in metres (inf: nothing), and what was decided by them."""
 
@@ -201,8 +212,10 @@ class View:
     maps: tuple[str, ...]
     """Names of the maps that can be loaded; empty for the one the session was started with."""
     waypoint_files: tuple[str, ...] = ()
-    loaded_waypoints: tuple[tuple[float, float, float, float | None], ...] | None = None
-    """x, y, yaw and wait of each waypoint that was loaded last; None before."""
+    bags: tuple[str, ...] = ()
+    """Names of the bags recorded so far."""
+    waypoints: tuple[Stop, ...] = ()
+    """Those being edited, the same on every page."""
     localised: bool = False
     """Whether there is a pose on a map."""
     sure: float | None = None

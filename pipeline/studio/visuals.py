@@ -11,10 +11,11 @@ import numpy as np
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Twist
+from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.goal_states import State
+from turtlebag.pipeline.navigation.initial_pose import on_map
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.studio.loops_shown import graph_of_mapper
@@ -28,7 +29,10 @@ from turtlebag.pipeline.studio.view import (
     MapLayer,
     Path,
     SectorMarks,
+    Stop,
 )
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.global_plan import fits
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.patrol import GoalSequence
 
@@ -39,6 +43,7 @@ STEP_M, MOST_POINTS = 0.02, 20_000
 FAR_M = 0.02
 """If a loop closure moves the robot farther than this, its path so far is drawn anew."""
 MOST_EVENTS = 500
+NO_ROOM = "in an obstacle, a keep-out area or unknown space"
 
 
 class Trail:
@@ -151,6 +156,7 @@ class Visuals:
 
     def __init__(self, pilot: Pilot) -> None:
         self._pilot, self._cached = pilot, Cached()
+        self._stale: tuple[object, int] | None = None
         self.shown: GoalSequence | None = None
         """The goals of the last task, if it had some."""
 
@@ -228,12 +234,35 @@ class Visuals:
         done, running = len(sequence.outcomes), sequence.goal is not None
         return self._cached.get("goals", (sequence, done, running), lambda: _marks(sequence))
 
+    def waypoints(self, stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
+        """Waypoints being edited, with what stands in their way on the loaded map."""
+        pilot = self._pilot
+        if pilot.navigation is None:
+            return stops
+        costmap, model = pilot.navigation.tools.obstacles.static, pilot.kit.robot.model
+        return self._cached.get(
+            "waypoints", (stops, costmap), lambda: tuple(_checked(stop, costmap, model) for stop in stops)
+        )
+
     def sure(self) -> float | None:
-        """The share of the scans that the map explains; None while there is none."""
+        """The share of the scans that the map explains; None while none has been compared."""
         pilot = self._pilot
         if pilot.localiser is not None:
-            return pilot.localiser.amcl.agreement if pilot.localised else None
+            known = pilot.localised and self._updates != self._stale
+            return pilot.localiser.amcl.agreement if known else None
         return None if pilot.slam is None else pilot.slam.fit
+
+    def carried(self) -> None:
+        """The last comparison of a scan with the map was made elsewhere."""
+        self._stale = self._updates
+
+    @property
+    def _updates(self) -> tuple[object, int] | None:
+        """The filter, and how many scans it has used."""
+        localiser = self._pilot.localiser
+        if localiser is None or not isinstance(localiser.amcl, Amcl):
+            return None
+        return localiser.amcl, localiser.amcl.watch.updates
 
     def lost(self) -> str | None:
         """Why the robot does not trust its pose; None when it does, or has none."""
@@ -265,6 +294,13 @@ class Visuals:
         if isinstance(driver, NavigationDriver | ExploreDriver):
             return driver.tools.obstacles
         return None if self._pilot.navigation is None else self._pilot.navigation.tools.obstacles
+
+
+def _checked(stop: Stop, costmap: Costmap, model: RobotModel) -> Stop:
+    T_map_base = SE2.from_xyt(stop.x, stop.y, stop.yaw)
+    if not on_map(costmap, T_map_base):
+        return stop._replace(blocked="off the map")
+    return stop if fits(costmap, model, T_map_base) else stop._replace(blocked=NO_ROOM)
 
 
 def _marks(sequence: GoalSequence) -> tuple[GoalMark, ...]:

@@ -37,7 +37,6 @@ def view(**given):
             (
                 "recording",
                 "map_name",
-                "loaded_waypoints",
                 "sure",
                 "lost",
                 "goal",

@@ -11,7 +11,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.access import LOOPBACK
 from turtlebag.pipeline.studio.inputs import Drive
-from turtlebag.pipeline.studio.view import Event, MapLayer
+from turtlebag.pipeline.studio.view import Event, MapLayer, Stop
 
 HERE = f"http://{LOOPBACK}:"
 ENABLED = "!document.getElementById('controls').disabled"
@@ -28,17 +28,27 @@ class PageSession(FakeSession):
         super().__init__()
         self._map = MapLayer(OccupancyGrid(cells, 0.05, SE2.from_xyt(-1.0, -2.0, 0.0)))
         self.told = {}
+        self._waypoints = ()
 
     def apply(self, entry):
         if entry.do == "map_load":
             raise InputError("map_load: no map 'nowhere' in this session: save one first")
         self.applied.append((self.stamp_ns, entry))
         self._drive = entry if isinstance(entry, Drive) else Drive()
+        if entry.do == "waypoints":
+            self._waypoints = tuple(Stop(*stop.pose, stop.wait) for stop in entry.waypoints)
         self._events.append(Event(len(self._events) + 1, self.stamp_ns * 1e-9, entry.do, "info"))
         return entry.do
 
     def view(self):
-        known = {"map": self._map, "map_name": "", "maps": ("",), "localised": True, "sure": 0.9}
+        known = {
+            "map": self._map,
+            "map_name": "",
+            "maps": ("",),
+            "localised": True,
+            "sure": 0.9,
+            "waypoints": self._waypoints,
+        }
         given = {"stamp_ns": self.stamp_ns, "events": tuple(self._events), "command": (self._drive.v, 0.0)}
         return view(**known | given | self.told)
 

@@ -12,12 +12,12 @@ WITH_LOOPS = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
 """In a room this small the refinement would do without loops."""
 
 
-def write_bag(folder):
-    """LOG as a rosbag2 folder."""
+def write_bag(folder, log=LOG):
+    """A log as a rosbag2 folder."""
     with BagWriter(folder, custom={}) as writer:
         writer.static_transforms(0, [("base_footprint", "base_scan", (0.0, 0.0, 0.1), 0.0)])
-        for k in range(len(LOG)):
-            stamp = int(LOG.stamps_ns[k])
-            writer.odometry(Odometry(stamp, LOG.T_odom_base[k], Twist()))
-            writer.scan(stamp, Scan(stamp, LOG.ranges[k], LOG.lidar))
+        for k in range(len(log)):
+            stamp = int(log.stamps_ns[k])
+            writer.odometry(Odometry(stamp, log.T_odom_base[k], Twist()))
+            writer.scan(stamp, Scan(stamp, log.ranges[k], log.lidar))
     return folder

@@ -1,5 +1,7 @@
 """A bag that is played: where it stands, what is mapped, and what a person says of its loops."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -8,11 +10,16 @@ from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.graph.edits import load_edits
+from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
+from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs
+from turtlebag.pipeline.studio.loops_shown import points_of
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup
 
@@ -103,6 +110,34 @@ def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command
     for kind in ("pgm", "yaml"):
         mine, theirs = (tmp_path / "maps" / f"parted.{kind}", tmp_path / "map" / f"map.{kind}")
         assert mine.read_bytes().replace(b"parted", b"map") == theirs.read_bytes()
+
+
+def test_the_points_of_a_scan_lie_where_the_mapper_takes_them_to_be():
+    """Of a lidar that turns while the robot does."""
+    log = replace(LOG, lidar=replace(LOG.lidar, time_increment=0.15 / LOG.lidar.n_beams))
+    knots = np.linspace(0.0, 1.0, 9)[1:, None] * [0.1, 0.02, 0.4]
+    motion = SE2(np.broadcast_to(knots, (len(log), *knots.shape)))
+    seen = points_of(log, 40, motion)
+    expected = make_clouds(log, log.lidar.range_max, motion, scans=np.array([40])).points
+    np.testing.assert_allclose(seen, expected, atol=1e-6)
+    assert np.linalg.norm(seen - points_of(log, 40), axis=1).max() > 0.1
+
+
+@pytest.mark.slow
+def test_after_the_whole_bag_is_mapped_a_scan_is_shown_as_the_mapper_saw_it(tmp_path):
+    """With the motion during its sweep, and with corrected sensors."""
+    lidar = replace(LOG.lidar, time_increment=0.15 / LOG.lidar.n_beams)
+    bag = write_bag(tmp_path / "bag", replace(LOG, lidar=lidar))
+    mapped = run_slam(load_recording(bag), SlamConfig())
+    with Session(BagSetup(bag), tmp_path, lambda line: None) as played:
+        played.apply(inputs.Plain(do="map_build"))
+        played.apply(inputs.Seek(t=14.0))
+        view = played.view()
+    of, scan = mapped.session, round(14.0 / 0.2)
+    expected = view.T_map_base @ points_of(of.recording, scan, of.motion)
+    np.testing.assert_allclose(view.scan, expected, atol=1e-6)
+    raw = view.T_map_base @ points_of(load_recording(bag), scan)
+    assert np.linalg.norm(view.scan - raw, axis=1).max() > 1e-4
 
 
 @pytest.mark.slow

@@ -280,7 +280,17 @@ def test_nothing_after_the_end(tmp_path):
 def test_every_input_of_the_design_is_known():
     driving = {"drive", "stop", "release"}
     maps = {"map_start", "map_stop", "map_save", "map_load", "pose_estimate", "localise_global", "keepout"}
-    tasks = {"goal", "patrol", "waypoints_save", "waypoints_load", "avoid", "explore", "wiggle", "cancel"}
+    tasks = {
+        "goal",
+        "patrol",
+        "waypoints",
+        "waypoints_save",
+        "waypoints_load",
+        "avoid",
+        "explore",
+        "wiggle",
+        "cancel",
+    }
     rest = {"record", "record_stop", "kidnap", "box", "reset", "end"}
     bags = {"seek", "map_build", "loop_show", "loop_reject", "loop_add", "edits_clear"}
     assert set(KNOWN) == driving | maps | tasks | rest | bags

@@ -38,6 +38,7 @@ OF = {
     "pose_estimate": ("pose",),
     "goal": ("pose",),
     "patrol": ("waypoints", "laps"),
+    "waypoints": ("waypoints",),
     "waypoints_save": ("name", "waypoints"),
     "waypoints_load": ("name",),
     "kidnap": ("pose",),

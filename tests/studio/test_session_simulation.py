@@ -124,6 +124,47 @@ def test_what_moves_in_the_true_world_is_there_for_the_ghost(tmp_path):
         assert len(person.view.boxes) == 0
 
 
+def test_a_waypoint_where_the_robot_cannot_stand_says_so_at_once(tmp_path, true_map):
+    with at_the_studio(tmp_path / "live", map_path=true_map) as person:
+        places = ([-1.5, -0.5, 0.0], [0.0, 0.0, 0.0], [50.0, 0.0, 0.0])
+        person.do("waypoints", waypoints=[{"pose": pose} for pose in places])
+        free, pillar, beyond = (stop.blocked for stop in person.view.waypoints)
+        assert free == ""
+        assert "obstacle" in pillar
+        assert beyond == "off the map"
+        person.do("keepout", outlines=[[[-2.0, -1.0], [-1.0, -1.0], [-1.0, 0.0], [-2.0, 0.0]]])
+        assert "keep-out" in person.view.waypoints[0].blocked
+        person.do("map_start")
+        assert [stop.blocked for stop in person.view.waypoints] == ["", "", ""]
+
+
+def test_a_robot_that_was_carried_claims_no_fit_until_it_has_looked(tmp_path, true_map):
+    with at_the_studio(tmp_path / "live", map_path=true_map) as person:
+        person.do("pose_estimate", pose=[-2.0, -0.5, 0.0])
+        person.do("drive", w=0.5)
+        person.wait(3.0)
+        person.do("stop")
+        person.wait(0.5)
+        assert person.view.sure > 0.5
+        person.do("kidnap", pose=[1.5, 0.5, 1.0])
+        assert person.view.sure is None
+        person.wait(0.5)
+        assert person.view.sure is None
+        person.do("drive", w=0.5)
+        person.wait(3.0)
+        assert person.view.sure is not None
+
+
+def test_a_task_that_is_cancelled_has_neither_succeeded_nor_failed(tmp_path):
+    with at_the_studio(tmp_path / "live") as person:
+        person.do("avoid")
+        person.wait(1.0)
+        person.do("cancel")
+        assert person.lines[-1].startswith("avoid cancelled: no collisions, ")
+        assert not any(line.startswith(("succeeded", "failed")) for line in person.lines)
+        assert person.session.metrics()["tasks"][0]["broken_off"] == "cancelled"
+
+
 def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, true_map):
     with at_the_studio(tmp_path / "live", map_path=true_map) as person:
         start = person.view
@@ -131,15 +172,16 @@ def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, true_
         person.do("pose_estimate", pose=[-2.0, -0.5, 0.0])
         person.do("box", xy=[-1.0, -0.5], size=0.2)
         person.do("waypoints_save", name="one", waypoints=[{"pose": [0.5, -1.8, 0.0]}])
+        assert person.view.bags == ("first",)
         person.do("waypoints_load", name="one")
-        assert person.view.loaded_waypoints == ((0.5, -1.8, 0.0, None),)
+        assert person.view.waypoints == ((0.5, -1.8, 0.0, None, ""),)
         person.do("goal", pose=[-1.5, -1.0, 0.0])
         person.do("drive", v=0.1)
         person.wait(2.0)
         person.do("reset")
         view = person.view
         assert view.stamp_ns == 2 * 10**9
-        assert (view.task, view.recording, view.localised, view.loaded_waypoints) == ("", None, False, None)
+        assert (view.task, view.recording, view.localised, len(view.waypoints)) == ("", None, False, 1)
         assert view.T_world_base.xyt.tolist() == start.T_world_base.xyt.tolist()
         assert len(view.boxes) == len(view.odom_path.points) == 0
         assert view.odom_path.version > start.odom_path.version

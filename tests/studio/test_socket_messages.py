@@ -16,7 +16,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.socket_messages import COLUMNS, Frames, bye, hello
 from turtlebag.pipeline.studio.tiles import MARGIN, TILE, changed_tiles
-from turtlebag.pipeline.studio.view import Event, GoalMark, Graph, MapLayer, Path, SectorMarks
+from turtlebag.pipeline.studio.view import Event, GoalMark, Graph, MapLayer, Path, SectorMarks, Stop
 
 RESOLUTION = 0.05
 
@@ -149,18 +149,18 @@ def test_words_are_plain_json():
     assert (header["t"], header["pose"], header["paused"]) == (1.5, [1.0, 2.0, 0.1235], True)
 
 
-def test_events_and_loaded_waypoints_are_told_once():
+def test_events_and_waypoints_are_told_once():
     frames = Frames()
     events = tuple(Event(k, float(k), f"event {k}", "info") for k in range(1, 6))
 
     def told(upto, loaded):
-        header, _ = decoded(frames.frame(view(events=events[:upto], loaded_waypoints=loaded), {}))
+        header, _ = decoded(frames.frame(view(events=events[:upto], waypoints=loaded), {}))
         return [text for _, text, _ in header["events"]], header.get("waypoints")
 
-    first, second = ((1.0, 2.0, 0.0, None),), ((3.0, 2.0, 0.0, 4.0),)
-    assert told(2, first) == (["event 1", "event 2"], None)
+    first, second = (Stop(1.0, 2.0, 0.0, None),), (Stop(3.0, 2.0, 0.0, 4.0, "off the map"),)
+    assert told(2, first) == (["event 1", "event 2"], [[1.0, 2.0, 0.0, None, ""]])
     assert told(2, first) == ([], None)
-    assert told(5, second) == (["event 3", "event 4", "event 5"], [[3.0, 2.0, 0.0, 4.0]])
+    assert told(5, second) == (["event 3", "event 4", "event 5"], [[3.0, 2.0, 0.0, 4.0, "off the map"]])
     assert told(5, second) == ([], None)
 
 

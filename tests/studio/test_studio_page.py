@@ -107,6 +107,31 @@ def test_a_window_made_narrow_folds_the_panel_and_one_made_wide_shows_it(browser
         until(partial(browser.evaluate, wanted))
 
 
+@pytest.mark.parametrize("width", [390, 820])
+def test_the_state_is_not_cut_on_small_screens(browser, session, served, width):
+    session.told = {"task": "patrol", "state": "to waypoint 2 of 3, replanning around an obstacle"}
+    open_page(browser, served, width, 844, touch=True)
+    until(lambda: shown_text(browser, "state").startswith("Patrol"))
+    assert (
+        browser.evaluate(
+            "(({ scrollWidth, clientWidth }) => scrollWidth - clientWidth)(document.getElementById('state'))"
+        )
+        <= 0
+    )
+
+
+def test_the_log_follows_its_end_and_the_keys_are_listed(page, session):
+    for _ in range(20):
+        click(page, "#pause")
+        click(page, "[data-do=avoid]")
+    until(lambda: len(session.asked("avoid")) == 20)
+    page.evaluate("document.getElementById('lines').style.height = '60px'")
+    below = "(({ scrollHeight, scrollTop, clientHeight }) => scrollHeight - scrollTop - clientHeight)"
+    until(lambda: page.evaluate(f"{below}(document.getElementById('lines'))") < 8)
+    click(page, "#help summary")
+    assert "hand back to the task" in page.evaluate("document.getElementById('help').innerText")
+
+
 def test_the_speed_of_a_task_is_shown(page, session):
     session.told = {"task": "avoid", "command": (0.15, -0.5)}
     until(lambda: shown_text(page, "cmd") == "0.15 m/s, -0.5 rad/s")
@@ -260,6 +285,16 @@ def test_the_end_of_the_studio_is_said_with_its_reason(browser, session):
     assert browser.evaluate("document.querySelector('#tools [data-tool=goal]').disabled")
     browser.key("w")
     assert shown_text(browser, "cmd") == "0.00 m/s, 0.0 rad/s"
+    browser.leave()
+
+
+def test_a_session_that_was_ended_says_where_its_files_are(browser, session):
+    lines = ["Its files are in /here", "turtlebag studio --replay here/session.yaml --out there"]
+    with Served(session, after=lambda: lines) as server:
+        open_page(browser, server)
+    until(lambda: shown_text(browser, "over").startswith("The studio was stopped.Its files are in /here"))
+    assert browser.evaluate("document.getElementById('broken').hidden")
+    assert lines[1] in shown_text(browser, "over")
     browser.leave()
 
 

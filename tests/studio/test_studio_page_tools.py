@@ -9,6 +9,7 @@ import pytest
 from tests.helpers.browser import find_browser
 from tests.studio.fakes import PERIOD_NS
 from tests.studio.page import FITTING, box_of, click, drag, on_screen, open_page, shown_text, until
+from turtlebag.pipeline.studio.view import Stop
 
 pytestmark = [
     pytest.mark.slow,
@@ -144,9 +145,24 @@ def test_waypoints_are_clicked_moved_turned_ordered_and_patrolled(page, session)
 def test_waypoints_that_are_loaded_replace_those_there_were(page, session):
     click(page, "[data-do=waypoints_load] button")
     until(lambda: session.asked("waypoints_load") == [{"name": ""}])
-    session.told = {"loaded_waypoints": ((1.0, 2.0, 0.0, 4.0), (0.0, 2.0, 0.0, None))}
+    session.told = {"waypoints": (Stop(1.0, 2.0, 0.0, 4.0), Stop(0.0, 2.0, 0.0, None))}
     fields = "[...document.querySelectorAll('#waypoints input')].map((part) => part.value)"
     until(lambda: page.evaluate(fields) == ["1.00, 2.00, 0.00", "4", "0.00, 2.00, 0.00", ""])
+
+
+def test_a_waypoint_where_the_robot_cannot_stand_is_marked_and_said(page, session):
+    session.told = {"waypoints": (Stop(0.5, 0.0, 0.0, None), Stop(1.0, 1.0, 0.0, None, "off the map"))}
+    until(lambda: not page.evaluate("document.getElementById('blocked').hidden"))
+    assert shown_text(page, "blocked") == "Waypoint 2 is off the map: the robot cannot stop there."
+    rows = "[...document.querySelectorAll('#waypoints li')].map((row) => row.classList.contains('blocked'))"
+    assert page.evaluate(rows) == [False, True]
+    session.told = {"waypoints": (Stop(0.5, 0.0, 0.0, None),)}
+    until(lambda: page.evaluate("document.getElementById('blocked').hidden"))
+
+
+def test_a_bag_gets_a_name_that_no_page_has_taken(page, session):
+    session.told = {"bags": ("bag_1", "bag_2")}
+    until(lambda: page.evaluate("document.querySelector('#bag input').value") == "bag_3")
 
 
 def test_keep_outs_boxes_and_the_robot_are_placed_by_hand(page, session):
@@ -157,7 +173,7 @@ def test_keep_outs_boxes_and_the_robot_are_placed_by_hand(page, session):
         drag(page, place)
     page.key("Backspace")
     drag(page, places[2])
-    drag(page, places[0])
+    page.key("Enter")
     (asked,) = until(lambda: session.asked("keepout"))
     assert np.allclose(asked["outlines"], [corners], atol=0.02)
     session.told = {"keepout": (np.array(corners),)}
@@ -188,7 +204,7 @@ def test_buttons_ask_for_what_they_say(page, session):
     click(page, "#bag button")
     click(page, "#mapping")
     until(lambda: session.asked("record_stop") == session.asked("map_stop") == [{}])
-    session.told = {}
+    session.told = {"bags": ("bag_1",)}
     until(lambda: page.evaluate("document.querySelector('#bag input').value") == "bag_2")
     click(page, "[data-do=reset]")
     time.sleep(0.2)

@@ -96,7 +96,10 @@ def studio(browser, world, out):
             click(browser, "[data-do=end]")
         _, complaints = process.communicate(timeout=60)
         assert process.returncode == 0, complaints
-        assert "the session has ended" in shown_text(browser, "broken")
+        said = until(lambda: shown_text(browser, "over"))
+        assert said.startswith(f"The session has ended.Its files are in {out}")
+        assert f"turtlebag studio --replay {out}/session.yaml --out {out}-again" in said
+        assert browser.evaluate("document.getElementById('broken').hidden")
         assert browser.problems() == []
         browser.leave()
     finally:

@@ -300,7 +300,7 @@ export function draw(canvas, shown, waypoints, doing) {
   for (const [name, , paint] of LAYERS) {
     if (!shown.has(name)) continue;
     if (paint) paint();
-    else for (const [k, { pose }] of waypoints.list.entries()) flag(...pose, String(k + 1), colour.plan, { hollow: true, chosen: k === waypoints.chosen });
+    else for (const [k, { pose, blocked }] of waypoints.list.entries()) flag(...pose, String(k + 1), blocked ? colour.bad : colour.plan, { hollow: true, chosen: k === waypoints.chosen });
   }
   sketch(doing);
   scaleBar();

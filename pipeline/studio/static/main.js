@@ -4,7 +4,7 @@ import { attachBag, bagged } from "./bag.js";
 import { draw, LAYERS, readColours } from "./draw.js";
 import { Drive } from "./drive.js";
 import { byId, put } from "./elements.js";
-import { allow, keepouts, log, refuse, show } from "./panel.js";
+import { allow, capital, keepouts, log, refuse, show } from "./panel.js";
 import { listen } from "./pointer.js";
 import { begin, dark, scene, take } from "./scene.js";
 import { Connection } from "./socket.js";
@@ -49,6 +49,7 @@ function read() {
 function send(message) {
   refuse("");
   if (MOVES.includes(message.do)) drive.release();
+  if (message.do === "waypoints_load") waypoints.sent = "";
   if (!connection.send(message)) refuse("Not connected: nothing was sent.");
   return true;
 }
@@ -66,7 +67,7 @@ async function copy(place) {
 
 const speeds = (v, w) => put(byId("cmd"), "textContent", `${v.toFixed(2)} m/s, ${w.toFixed(1)} rad/s`);
 const drive = new Drive((message) => connection.send(message), speeds);
-const waypoints = new Waypoints(byId("waypoints"), changed, refuse);
+const waypoints = new Waypoints(byId("waypoints"), (list) => connection.send({ do: "waypoints", waypoints: list }), changed, refuse);
 const desk = new Desk({ send, copy, refuse, waypoints, size: () => Number(byId("size").value), chosen });
 const connection = new Connection(arrived, told);
 
@@ -87,6 +88,7 @@ function arrived(header, blobs) {
     byId("where").textContent = bagged() ? header.world : `${header.world} · ${header.robot} · seed ${header.seed}`;
     document.body.classList.toggle("bagged", bagged());
     byId("lines").replaceChildren();
+    waypoints.sent = "";
     const { world } = header, name = document.querySelector("[data-do=map_save]").elements.name;
     name.value ||= `map_${world.replace("turtlebot3_", "").replace(/[^A-Za-z0-9_-]+/g, "_") || "1"}`;
     wanted();
@@ -100,7 +102,8 @@ function arrived(header, blobs) {
     if (!drive.v && !drive.w) speeds(...header.cmd);
     if (scene.keepouts !== before) keepouts(send);
     if (header.map != null && header.map !== map) showAll();
-    if (header.waypoints) waypoints.replace(header.waypoints.map(([x, y, yaw, wait]) => ({ pose: [x, y, yaw], wait })));
+    if (header.error || !header.driver) waypoints.sent = "";
+    if (header.waypoints) waypoints.arrived(header.waypoints);
     if (header.events?.length) log(header.events);
     if (header.error) refuse(header.error);
   }
@@ -108,8 +111,13 @@ function arrived(header, blobs) {
 }
 
 /** The socket opened, or closed with a reason. */
-function told(open, reason) {
-  byId("broken").hidden = open;
+function told(open, reason, after = []) {
+  const [where, ...commands] = after, over = byId("over");
+  over.hidden = !after.length;
+  over.querySelector("strong").textContent = capital(`${reason}.`);
+  over.querySelector("p").textContent = where ?? "";
+  over.querySelector("pre").textContent = commands.join("\n");
+  byId("broken").hidden = open || after.length > 0;
   document.body.classList.toggle("away", !open);
   byId("again").hidden = !reason;
   byId("broken").firstElementChild.textContent = reason ? `Closed: ${reason}` : "Connection lost. The robot is stopped. Reconnecting …";
@@ -171,7 +179,7 @@ document.addEventListener("submit", (event) => {
     if (desk.type(byId("typed").value)) byId("typed").value = "";
     else refuse(`"${byId("typed").value}" is not ${desk.tool.form}`);
   } else if (form.id === "bag") send(scene.head.recording == null ? { do: "record", name: form.elements.name.value } : { do: "record_stop" });
-  else if (form.id === "waypoints_save") send({ do: "waypoints_save", name: form.elements.name.value, waypoints: waypoints.list });
+  else if (form.id === "waypoints_save") send({ do: "waypoints_save", name: form.elements.name.value, waypoints: waypoints.plain() });
   else send({ do: form.dataset.do, name: form.elements.name.value });
   if (entered) stage.focus({ preventScroll: true });
   changed();
@@ -182,9 +190,9 @@ const presses = {
   step: () => send({ do: "step" }),
   mapping: () => send({ do: scene.head.mapping ? "map_stop" : "map_start" }),
   patrol: () => waypoints.list.length
-    ? send({ do: "patrol", waypoints: waypoints.list, laps: Number(byId("laps").value) })
+    ? send({ do: "patrol", waypoints: waypoints.plain(), laps: Number(byId("laps").value) })
     : refuse("No waypoints yet: choose Waypoint and click the map, or load a file."),
-  clear: () => waypoints.replace([]),
+  clear: () => waypoints.clear(),
   take: () => send({ do: "take_control" }),
   again: () => connection.open(),
   in: () => zoom(1.3),
@@ -220,6 +228,7 @@ document.addEventListener("keydown", (event) => {
   else if (key === "0") showAll();
   else if (low === "f") follow(!view.follow);
   else if (key === "Backspace") desk.tool.back?.(desk);
+  else if (key === "Enter" && !target.matches("button, summary") && desk.tool.enter?.(desk)) event.preventDefault();
   else if (key === "Enter" && target === stage && desk.tool.form) byId("typed").focus(), event.preventDefault();
   else if (key === "Escape") desk.drop() || desk.choose("view");
   else if (KEYS[low] && !document.querySelector(`#tools [data-tool=${KEYS[low]}]`).disabled) desk.choose(KEYS[low]);

@@ -6,7 +6,7 @@ import { scene } from "./scene.js";
 
 const MOST_LINES = 500;
 const text = (id, words) => put(byId(id), "textContent", words);
-const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
+export const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 
 /** Whether there is a map, finished or growing; no map is sent as one cell. */
 const mapped = () => scene.grids.map?.w > 1;
@@ -51,9 +51,9 @@ export function show(head, deskName) {
     bag.dataset.open = String(head.recording);
     bag.elements[1].textContent = head.recording == null ? "Record bag" : "Stop bag";
     bag.elements[0].disabled = head.recording != null;
-    if (head.recording == null && bag.dataset.last) bag.elements[0].value = following(bag.dataset.last);
-    bag.dataset.last = head.recording ?? "";
   }
+  // Another page may have taken a name as well.
+  if (head.recording == null && document.activeElement !== bag.elements[0]) while (head.bags?.includes(bag.elements[0].value)) bag.elements[0].value = nextName(bag.elements[0].value);
   options(byId("maps"), head.maps ?? [], "the initial map");
   options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's");
   put(byId("sure"), "value", head.lost ? 0 : head.sure ?? 0);
@@ -73,7 +73,7 @@ export function allow(may) {
   for (const tool of document.querySelectorAll("#tools [data-acts]")) put(tool, "disabled", !may);
 }
 
-const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
+const nextName = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
 
 /** What has blocked the session for more than a second. */
 const busyWith = (what) => what === "tick" ? "Computing …" : `Busy: ${what?.replaceAll("_", " ")} …`;
@@ -82,7 +82,7 @@ function placeOf({ map, localised, sure, lost, mapping }) {
   if (lost) return lost;
   if (sure != null) return `${Math.round(100 * sure)} % of the scan fits the map`;
   if (mapping) return "on the growing map";
-  return map == null ? "no map" : localised ? "on the map" : "no pose yet";
+  return map == null ? "no map" : localised ? "fit not known: it has not moved yet" : "no pose yet";
 }
 
 function pills(told) {
@@ -104,9 +104,20 @@ function sectors(told) {
   text("sectors", `Left ${far(told.left)}, front ${far(told.front)}, right ${far(told.right)}: ${told.decision}`);
 }
 
+let following = true;
+
+/** The log follows its end, also when its size changes, until somebody scrolls up in it. */
+function toEnd() {
+  if (following) byId("lines").scrollTop = byId("lines").scrollHeight;
+}
+byId("lines").addEventListener("scroll", ({ target }) => {
+  following = target.scrollTop + target.clientHeight > target.scrollHeight - 8;
+});
+new ResizeObserver(toEnd).observe(byId("lines"));
+
 /** Lines of the event log: [t, text, level]. */
 export function log(events) {
-  const lines = byId("lines"), atEnd = lines.scrollTop + lines.clientHeight > lines.scrollHeight - 8;
+  const lines = byId("lines");
   for (const [t, words, level] of events) {
     const line = document.createElement("li"), time = document.createElement("time");
     time.textContent = t.toFixed(1);
@@ -116,7 +127,7 @@ export function log(events) {
     lines.append(line);
   }
   while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
-  if (atEnd) lines.scrollTop = lines.scrollHeight;
+  toEnd();
 }
 
 /** Show a refusal on the map; an empty one clears it. */

@@ -23,7 +23,7 @@ export async function decode(buffer) {
   return { header, blobs };
 }
 
-/** Keeps a socket open. `take(header, blobs)` gets each message in order, `tell(open, reason)` the connection's state. */
+/** Keeps a socket open. `take(header, blobs)` gets each message in order, `tell(open, reason, after)` the connection's state. */
 export class Connection {
   constructor(take, tell) {
     this.take = take;
@@ -34,18 +34,18 @@ export class Connection {
   open() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     const socket = new WebSocket(`${scheme}://${location.host}/socket${location.search}`);
-    let queue = Promise.resolve(), reason = "";
+    let queue = Promise.resolve(), reason = "", after = [];
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => {
       queue = queue.then(async () => {
         const { header, blobs } = await decode(data);
-        if (header.kind === "bye") reason = header.reason;
+        if (header.kind === "bye") ({ reason, after } = header);
         else this.take(header, blobs);
       }).catch((error) => console.error(error));
     };
     socket.onopen = () => { this.wait = 500; this.tell(true, ""); };
     socket.onclose = () => queue.finally(() => {
-      this.tell(false, reason);
+      this.tell(false, reason, after);
       // After a goodbye the server is gone; anything else is a lost connection, a sleep or a restart.
       if (!reason) setTimeout(() => this.open(), this.wait = Math.min(2 * (this.wait ?? 250), 4000));
     });

@@ -68,12 +68,13 @@ const TOOLS = {
     },
     release(desk) {
       if (desk.doing.arrow) desk.waypoints.add(round3(desk.doing.arrow));
-      else if (this.moving >= 0) desk.waypoints.choose(this.moving);
+      else desk.waypoints.dropped(Math.max(this.moving, this.turning));
     },
+    drop(desk) { if (desk.waypoints.moving) desk.waypoints.dropped(-1); },
     typed(desk, text) { const pose = numbers(text, 3); if (pose) desk.waypoints.add(pose); return pose; },
   },
   keepout: {
-    hint: "Keep-out: click its corners, then the first one again. Backspace removes the last.",
+    hint: "Keep-out: click its corners, then press Enter or click the first one again. Backspace removes the last.",
     form: "x, y, x, y, x, y, ...",
     outline: [],
     hover(desk, at) { desk.doing = { outline: this.outline, tip: at }; },
@@ -85,6 +86,11 @@ const TOOLS = {
       }
     },
     back(desk) { this.outline.pop(); desk.doing = { outline: this.outline }; },
+    enter(desk) {
+      if (this.outline.length < 3) return false;
+      this.close(desk);
+      return true;
+    },
     close(desk) {
       desk.send({ do: "keepout", outlines: [...scene.keepouts.map((area) => area.map(round3)), this.outline] });
       this.drop(desk);

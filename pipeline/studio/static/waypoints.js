@@ -1,21 +1,34 @@
 // The list of waypoints being edited: on the map by the tool, here by number.
 
-import { button, refill } from "./elements.js";
+import { button, byId, put, refill } from "./elements.js";
 import { numbers, words } from "./words.js";
 
-const KEPT = "turtlebag-waypoints";
-
 export class Waypoints {
-  /** `list` is an <ol>; `changed` is called after each change, `refuse` with what is wrong. */
-  constructor(rows, changed, refuse) {
-    Object.assign(this, { rows, changed, refuse, list: [], chosen: -1 });
-    // A reload loses nothing.
-    try { this.list = JSON.parse(sessionStorage.getItem(KEPT)) ?? []; } catch { /* nothing kept */ }
+  /** `rows` is an <ol>; `share` tells the session of each change, `changed` the drawing, `refuse` what is wrong. */
+  constructor(rows, share, changed, refuse) {
+    Object.assign(this, { rows, share, changed, refuse, list: [], chosen: -1, sent: "" });
     this.build();
   }
 
-  replace(list) {
-    this.list = list;
+  /** What the session has: all pages edit one list. `stops`: x, y, yaw, wait and what stands in the way. */
+  arrived(stops) {
+    const list = stops.map(([x, y, yaw, wait]) => ({ pose: [x, y, yaw], wait }));
+    if (JSON.stringify(list) === this.sent) this.sent = "";
+    if (!this.sent && !this.moving && JSON.stringify(list) !== JSON.stringify(this.plain())) {
+      this.list = list;
+      this.chosen = -1;
+      this.build();
+    }
+    if (this.list.length !== stops.length) return;
+    for (const [k, stop] of stops.entries()) this.list[k].blocked = stop[4];
+    this.mark();
+    this.changed();
+  }
+
+  plain() { return this.list.map(({ pose, wait }) => ({ pose, wait })); }
+
+  clear() {
+    this.list = [];
     this.choose(-1);
   }
 
@@ -23,8 +36,15 @@ export class Waypoints {
     this.choose(this.list.push({ pose, wait: null }) - 1);
   }
 
+  /** Move one, while it is dragged; `dropped` ends that. */
   move(k, pose) {
+    this.moving = true;
     this.list[k].pose = pose;
+    this.choose(k);
+  }
+
+  dropped(k) {
+    this.moving = false;
     this.choose(k);
   }
 
@@ -46,14 +66,32 @@ export class Waypoints {
     if (k >= 0) this.rows.children[k].scrollIntoView({ block: "nearest" });
   }
 
+  /** Tell the session; until it answers with this list, what comes is older. */
   keep() {
-    try { sessionStorage.setItem(KEPT, JSON.stringify(this.list)); } catch { /* not allowed here */ }
+    if (!this.moving) {
+      this.sent = JSON.stringify(this.plain());
+      this.share(this.plain());
+    }
     this.changed();
+  }
+
+  /** Those where the robot cannot stand, in the list and in a sentence. */
+  mark() {
+    const blocked = [...this.list.entries()].filter(([, stop]) => stop.blocked);
+    for (const [k, row] of [...this.rows.children].entries()) {
+      row.classList.toggle("blocked", Boolean(this.list[k]?.blocked));
+      row.title = this.list[k]?.blocked ?? "";
+    }
+    const more = blocked.length > 1 ? ` (and ${blocked.length - 1} more)` : "";
+    const [[k, stop] = []] = blocked;
+    put(byId("blocked"), "hidden", !stop);
+    put(byId("blocked"), "textContent", stop ? `Waypoint ${k + 1} is ${stop.blocked}${more}: the robot cannot stop there.` : "");
   }
 
   build(down = 0) {
     const rows = this.list.map((_, k) => this.row(k));
     refill(this.rows, rows, "None yet. Choose Waypoint and click the map, or load a file.", down);
+    this.mark();
   }
 
   row(k) {
