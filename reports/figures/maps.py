@@ -263,10 +263,10 @@ def draw_world(path: Path, title: str, floor: OccupancyGrid, spawn: SE2, sketch:
         style.save_png(figure, path, PICTURE_MARK)
 
 
-def _patches(segments: Array, circles: Array) -> list[Artist]:
+def _patches(segments: Array, circles: Array) -> list[Patch]:
     """Sections as filled shapes: circles, and the polygon of segments (n, 4) that join end to end; of others,
     as of a mesh, each line."""
-    shapes: list[Artist] = [Circle((x, y), r) for x, y, r in circles]
+    shapes: list[Patch] = [Circle((x, y), r) for x, y, r in circles]
     if len(segments) and np.allclose(segments[:, 2:], np.roll(segments[:, :2], -1, axis=0)):
         return [*shapes, Polygon(segments[:, :2])]
     return [*shapes, *(Polygon(line.reshape(2, 2), closed=False) for line in segments)]

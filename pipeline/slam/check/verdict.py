@@ -37,8 +37,8 @@ APART_KEYS, BAD_SHARE = 30, 0.35
 # At most this share of the places, or of the scans, may be wrong; and at most this many key scans, however
 # long the log, may contradict most of their revisits.
 MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
-# What good maps may have: the largest standard deviation of a key scan [m], of which two are the error of a bad
-# map, and the mean robust residual of pairs, which people and rough walls double in real logs.
+# What good maps may have: the largest standard deviation of a key scan [m], of which two are the error of a
+# bad map, and the mean robust residual of pairs, which people and rough walls double in real logs.
 # Drives shorter than this [m] tell nothing by their length.
 SURE_M, USUAL_APART = 0.10, 0.08
 LEAST_WAY_M = 5.0

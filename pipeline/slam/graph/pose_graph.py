@@ -109,8 +109,10 @@ def marginals(n: int, i: NDArray[np.int64], j: NDArray[np.int64], information: A
     roots = np.linalg.cholesky(information * np.outer(units, units)).transpose(0, 2, 1)
     graph, start = gtsam.GaussianFactorGraph(), gtsam.VectorValues()
     for a, b, root in zip(i.tolist(), j.tolist(), roots, strict=True):
-        ends = [part for end, factor in ((a, -root), (b, root)) if end > 0 for part in (end, factor)]
-        graph.add(gtsam.JacobianFactor(*ends, zeros, unit))
+        if min(a, b) > 0:
+            graph.add(gtsam.JacobianFactor(a, -root, b, root, zeros, unit))
+        else:
+            graph.add(gtsam.JacobianFactor(max(a, b), root, zeros, unit))
     for k in range(1, n):
         # what hardly holds a key to the others must not be lost beside the rest
         graph.add(gtsam.JacobianFactor(k, WEAK * np.eye(3), zeros, unit))
