@@ -64,17 +64,17 @@ class GlobalSearch:
         range_max: float,
         candidates: int = CANDIDATES,
     ) -> None:
-        """`candidates` are the poses that a search draws over the free space."""
+        """`candidates` are the poses that a search draws over the free space. ValueError if there is none."""
         self._candidates = candidates
         self.field = field
         self.range_max = range_max
         self._grid, self._free = grid, np.argwhere(grid.cells == FREE)
+        if len(self._free) == 0:
+            raise ValueError("the map has no free cell")
         self._noise = (config.sigma_hit, config.z_hit, config.z_rand / range_max)
 
     def uniform(self, count: int, rng: np.random.Generator) -> Array:
-        """`count` poses, (count, 3), on free cells with any heading; ValueError when no cell is free."""
-        if len(self._free) == 0:
-            raise ValueError("the map has no free cell")
+        """`count` poses, (count, 3), on free cells with any heading."""
         cells = self._free[rng.integers(len(self._free), size=count)]
         within = rng.uniform(-0.5, 0.5, size=(count, 2)) * self._grid.resolution
         yaw = rng.uniform(-np.pi, np.pi, size=count)

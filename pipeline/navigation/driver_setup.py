@@ -105,9 +105,7 @@ def prepare(
     if request.map_path is None:
         raise InputError(f"--task {request.task}: needs --map MAP.yaml")
     grid = load_map(request.map_path)
-    require_walls(grid, request.map_path)
-    if request.initial_pose == "global":
-        require_floor(grid, request.map_path)
+    require_walls_and_floor(grid, request.map_path)
     outlines = keepout if request.keepout is None else request.keepout
     costmap = costmap_from_grid(grid, config.costmap, [*outlines, *places.keepout])
     if isinstance(request.initial_pose, SE2):
@@ -118,14 +116,10 @@ def prepare(
     return Mission(request, _with_options(config, request), robot, grid, costmap, places.waypoints)
 
 
-def require_walls(grid: OccupancyGrid, path: Path) -> None:
-    """InputError when the robot could not find itself on the map."""
+def require_walls_and_floor(grid: OccupancyGrid, path: Path) -> None:
+    """InputError when the robot could not find itself on the map, or not be searched for."""
     if not (grid.cells >= OCCUPIED).any():
         raise InputError(f"{path}: has no occupied cell, so no scan can be compared with it")
-
-
-def require_floor(grid: OccupancyGrid, path: Path) -> None:
-    """InputError when the robot could not be searched for on the map."""
     if not (grid.cells == FREE).any():
         raise InputError(f"{path}: has no free cell, so there is nowhere to search for the robot")
 

@@ -19,7 +19,6 @@ from turtlebag.pipeline.navigation.driver_setup import (
     DEFAULT_EXPLORE_S,
     MAX_SIMULATED_S,
     SINGLE_GOAL,
-    require_floor,
 )
 from turtlebag.pipeline.navigation.drivers import make_avoider, make_explorer, make_mapless
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
@@ -164,8 +163,7 @@ def pose_estimate(robot: Robot, action: inputs.At) -> str:
 
 def localise_global(robot: Robot, action: inputs.Plain) -> str:
     """Start global localisation."""
-    navigation, loaded = _on_map(robot, "localise_global")
-    require_floor(loaded.grid, loaded.path)
+    navigation, _ = _on_map(robot, "localise_global")
     navigation.locate("global", robot.observation.odometry.T_odom_base)
     robot.trails.frame_changed()
     return "global localisation: the robot may be anywhere on the map"

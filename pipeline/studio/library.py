@@ -13,7 +13,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.yaml_files import read_mapping
-from turtlebag.pipeline.navigation.driver_setup import require_walls
+from turtlebag.pipeline.navigation.driver_setup import require_walls_and_floor
 from turtlebag.pipeline.studio.inputs import Stopover
 from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, parse_polygons, tutorial_patrol
 
@@ -87,5 +87,5 @@ class Library:
 
 def _usable_map(path: Path) -> OccupancyGrid:
     grid = load_map(path)
-    require_walls(grid, path)
+    require_walls_and_floor(grid, path)
     return grid
