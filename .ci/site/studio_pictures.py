@@ -1,0 +1,138 @@
+"""The pictures of the studio in README and docs, taken with the browser of the tests.
+
+python .ci/site/studio_pictures.py FOLDER
+"""
+
+import io
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.helpers.browser import Browser, find_browser
+from tests.studio.fakes import Served
+from tests.studio.page import ENABLED, click, shown_text, until
+from turtlebag.datasets.maps import save_map
+from turtlebag.pipeline.slam.mapper import SlamConfig
+from turtlebag.pipeline.studio.inputs import parse_input
+from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup
+
+WORLD, WIDE, HIGH, COLOURS = "turtlebot3_world", 1280, 720, 64
+LOOPS = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
+
+
+class Scene:
+    """A session that is brought to where its picture is taken."""
+
+    def __init__(self, setup, folder):
+        folder.mkdir()
+        self.session = Session(setup, folder, lambda line: None)
+        self.last = lambda: None
+        """What is done when time stands still."""
+
+    def do(self, what, **fields):
+        """An input."""
+        self.session.apply(parse_input({"do": what, **fields}))
+
+    def wait(self, most_s, enough=lambda view: False):
+        """Let time pass, until there is enough to see."""
+        for tick in range(round(30 * most_s)):
+            self.session.tick()
+            if tick % 30 == 0 and enough(self.session.view()):
+                return
+
+    def pose(self, ahead_m=0.0, turn=0.0):
+        """An estimate, so far from the true pose."""
+        x, y, yaw = self.session.view().T_world_base.xyt.tolist()
+        self.do("pose_estimate", pose=[x + ahead_m, y + ahead_m, yaw + turn])
+
+
+def mapping(folder):
+    """While exploring; the bag of it is played in the last picture."""
+    scene = Scene(StudioSetup(WORLD, seed=1), folder / "mapping")
+    scene.do("record", name="bag_1")
+    scene.do("map_start")
+    scene.do("explore")
+    scene.wait(100.0, lambda view: not view.task)
+    scene.do("goal", pose=[-1.8, -0.5, 0.0])
+    scene.wait(60.0, lambda view: not view.task)
+    return scene
+
+
+def wrong_pose(folder, true_map):
+    """Before a pose is set beside where the robot is: the filter would correct it before one looks."""
+    scene = Scene(StudioSetup(WORLD, seed=1, map_path=true_map), folder / "pose")
+    scene.wait(1.0)
+    scene.last = lambda: scene.pose(0.22, 0.35)
+    return scene
+
+
+def patrol(folder, true_map):
+    """Five of the tutorial's eight waypoints are reached."""
+    scene = Scene(StudioSetup(WORLD, seed=1, map_path=true_map), folder / "patrol")
+    scene.do("waypoints_load")
+    scene.pose()
+    stops = [{"pose": list(stop[:3])} for stop in scene.session.view().waypoints]
+    scene.do("patrol", waypoints=stops)
+    scene.wait(400.0, lambda view: sum(goal.status == "reached" for goal in view.goals) == 5)
+    scene.wait(4.0)
+    return scene
+
+
+def bag(folder):
+    """A loop of the bag that was recorded while mapping."""
+    scene = Scene(BagSetup(folder / "mapping/bags/bag_1", LOOPS), folder / "bag")
+    scene.do("map_build")
+    view = scene.session.view()
+    loops = view.graph.edges[view.graph.edges[:, 2] == 1]
+    if len(loops):
+        i, j = loops[len(loops) // 2, :2]
+        scene.do("loop_show", scan=int(view.bag.keys[i]), place=int(view.bag.keys[j]))
+    scene.do("seek", t=0.5 * view.bag.duration_s)
+    return scene
+
+
+def picture(browser, scene, file):
+    """The page of a session, with few colours: it is mostly flat."""
+    with Served(scene.session) as server:
+        browser.open(server.url, WIDE, HIGH)
+        until(lambda: browser.evaluate(ENABLED))
+        click(browser, "#pause")
+        until(lambda: shown_text(browser, "factor") == "paused")
+        scene.last()
+        browser.key("0")
+        until(lambda: browser.evaluate("import('./scene.js').then(({ scene }) => scene.grids.map?.w > 1)"))
+        browser.evaluate("new Promise((done) => setTimeout(done, 500))")
+        shot = Image.open(io.BytesIO(browser.picture())).convert("RGB")
+        browser.leave()
+    shot.quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+    print(f"{file}: {file.stat().st_size // 1024} KiB")
+
+
+def main(out):
+    """All of them, into a folder."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+        folder = Path(name)
+        setup = StudioSetup(WORLD)
+        save_map(setup.arena.rasterize(setup.spec.lidar_height), folder)
+        true_map = folder / "map.yaml"
+        with Browser(find_browser(), folder / "profile") as browser:
+            scene = mapping(folder)
+            picture(browser, scene, out / "studio_mapping.png")
+            scene.session.close()
+            for file, made in (
+                ("pose", lambda: wrong_pose(folder, true_map)),
+                ("patrol", lambda: patrol(folder, true_map)),
+                ("bag", lambda: bag(folder)),
+            ):
+                scene = made()
+                picture(browser, scene, out / f"studio_{file}.png")
+                scene.session.close()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
