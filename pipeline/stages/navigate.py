@@ -17,8 +17,9 @@ from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, Mission, Request, prepare
+from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, prepare
 from turtlebag.pipeline.navigation.episode import Audience, Episode, drive
+from turtlebag.pipeline.navigation.mission import Mission, Request
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import save_truth
