@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from turtlebag.datasets.bags.footprint import footprint_text
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -54,7 +55,7 @@ def navigate(
     """
     mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
-    custom = _of_bag(world, request, config_text(mission.config))
+    custom = _of_bag(world, mission)
     known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
     with (
@@ -93,13 +94,14 @@ def navigate(
     return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
 
 
-def _of_bag(world: World, request: Request, config: str) -> dict[str, str]:
+def _of_bag(world: World, mission: Mission) -> dict[str, str]:
     """What the bag says of its run."""
     return {
-        "seed": str(request.seed),
-        "config_sha256": sha256_text(config),
+        "seed": str(mission.request.seed),
+        "config_sha256": sha256_text(config_text(mission.config)),
         "world": world.name,
-        "task": request.task,
+        "task": mission.request.task,
+        **footprint_text(mission.robot.model.footprint),
     }
 
 
