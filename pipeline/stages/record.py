@@ -50,6 +50,7 @@ class RecordConfig(Settings):
     teleop: str
     seed: int
     start: tuple[float, float, float] | None = None
+    """True start pose: x, y [m], yaw [rad]; None: the world's spawn."""
     sim: SimConfig = SimConfig()
 
 
