@@ -31,6 +31,7 @@ class MaplessConfig(Settings, allow_inf_nan=False):
     window: float = Field(default=16.0, ge=4.0, le=100.0)
     """Side of the rolling window [m]; what leaves it is forgotten."""
     controller: ControllerName = "dwa"
+    """Controller of goals without a map: `pursuit`, `dwa`, or your own class."""
     recovery: RecoveryConfig = RecoveryConfig(
         ladder=(
             Rung(kind="back_up", amount=0.25),
@@ -66,6 +67,7 @@ class NavigateConfig(Settings, allow_inf_nan=False):
     mapless: MaplessConfig = MaplessConfig()
     plan: PlanConfig = PlanConfig()
     controller: ControllerName = "pursuit"
+    """Controller on a map: `pursuit`, `dwa`, or your own class."""
     dwa: DwaConfig = DwaConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()

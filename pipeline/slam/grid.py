@@ -40,7 +40,7 @@ BEHIND_CELLS = 3
 class OccupancyConfig(Settings):
     """The occupancy grid."""
 
-    resolution_m: float = Field(default=0.05, ge=0.001, le=1.0)
+    resolution_m: float = Field(default=0.05, ge=0.001, le=1.0, description="side of a cell")
     occupied_share: float = Field(
         default=0.25,
         gt=0.0,

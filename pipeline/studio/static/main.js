@@ -30,12 +30,14 @@ function first() {
 function changed() {
   if (due) return;
   due = true;
-  requestAnimationFrame(() => {
-    due = false;
-    if (view.follow && scene.head.pose) [view.x, view.y] = scene.head.pose;
-    draw(stage, shown, waypoints, desk.doing);
-    read();
-  });
+  requestAnimationFrame(drawNow);
+}
+
+function drawNow() {
+  due = false;
+  if (view.follow && scene.head.pose) [view.x, view.y] = scene.head.pose;
+  draw(stage, shown, waypoints, desk.doing);
+  read();
 }
 
 function read() {
@@ -103,7 +105,6 @@ function arrived(header, blobs) {
     name.value ||= `map_${world.replace("turtlebot3_", "").replace(/[^A-Za-z0-9_-]+/g, "_") || "1"}`;
     wanted();
     if (!fitted) showAll();
-    fitted = true;
   } else {
     const { keepouts: before, head: { map } } = scene;
     take(header, blobs);
@@ -112,6 +113,7 @@ function arrived(header, blobs) {
     if (!drive.v && !drive.w) speeds(...header.cmd);
     if (scene.keepouts !== before) keepouts(send);
     if (header.map != null && header.map !== map) showAll();
+    if (!fitted) showFirst();
     if (header.error || !header.driver) waypoints.sent = "";
     if (header.waypoints) waypoints.arrived(header.waypoints);
     if (header.events?.length) log(header.events);
@@ -147,6 +149,13 @@ function showAll() {
   const known = scene.grids.map?.corners() ?? [];
   fit(known.length ? known : [[x0, y0], [x1, y1]]);
   follow(false);
+}
+
+/** What there is, once both the first frame and the size of the window are known. */
+function showFirst() {
+  if (!scene.head.pose || view.width < 2) return;
+  fitted = true;
+  showAll();
 }
 
 function follow(on) {
@@ -274,7 +283,8 @@ readColours();
 dark.addEventListener("change", () => { readColours(); changed(); });
 new ResizeObserver(([{ contentRect: { width, height } }]) => {
   Object.assign(view, { width, height });
+  if (!fitted) showFirst();
   stage.width = Math.round(width * devicePixelRatio);
   stage.height = Math.round(height * devicePixelRatio);
-  changed();
+  drawNow(); // a new size has cleared it, and is shown before the next animation frame
 }).observe(stage);
