@@ -8,6 +8,7 @@ systematic errors are learnt from the key scans on the way.
 
 from __future__ import annotations
 
+import weakref
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -184,7 +185,8 @@ class Tracker:
         self.keys.append(self.scan)
         self._field = None
         if self._front_end is None and self._has_matches(self.scan):
-            self._front_end = self._make(self)
+            # a circle of two would keep the points of the whole log in memory long after it is tracked
+            self._front_end = self._make(weakref.proxy(self))
         if len(self.keys) & (len(self.keys) - 1) == 0:  # again whenever their number has doubled
             self.calibrate()
 
