@@ -65,7 +65,8 @@ def test_the_points_of_all_scans_go_once_the_log_is_tracked():
     gc.disable()
     try:
         track_log(Scans.of(LOG, 30.0), TrackingConfig(), make)
-        assert len(points) == 1 and points[0]() is None
+        assert len(points) == 1
+        assert points[0]() is None
     finally:
         gc.enable()
 
