@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from turtlebag.datasets.bags.footprint import footprint_text
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.bags.source import PACKED, SUFFIXES
 from turtlebag.datasets.bags.writer import BagWriter
@@ -158,7 +159,11 @@ def record_drive(
     with deferred_interrupt() as interrupted, out.staged(save_bag=True) as folder:
         (folder / "config.yaml").write_text(config_text(config))
         # Without the driver's name: a bag that is driven again from its own commands is the same bag.
-        custom = {"seed": str(scene.seed), "config_sha256": sha256_text(config_text(scene.config("")))}
+        custom = {
+            "seed": str(scene.seed),
+            "config_sha256": sha256_text(config_text(scene.config(""))),
+            **footprint_text(scene.robot.model.footprint),
+        }
         with (
             Simulator(scene.world, scene.robot, scene.sim, scene.seed) as simulator,
             BagWriter(folder / "bag", custom=custom, lidars=scene.robot.lidars) as bag,

@@ -137,7 +137,7 @@ def _plan(request: PlanRequest, out: Output) -> int:
 
 def _navigate(request: NavigateRequest, out: Output) -> int:
     from turtlebag.pipeline.navigation.config import NavigateConfig
-    from turtlebag.pipeline.navigation.driver_setup import Request as Drive
+    from turtlebag.pipeline.navigation.mission import Request as Drive
     from turtlebag.pipeline.stages.navigate import navigate
     from turtlebag.sim.robots import load_robot
     from turtlebag.sim.worlds import load_world, own_files
