@@ -5,6 +5,7 @@ The robot has moved at a key scan, the front end is sure of it, and others can b
 
 from __future__ import annotations
 
+import weakref
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -176,7 +177,8 @@ class Tracker:
         self.keys.append(self.scan)
         self._field = None
         if self._front_end is None and self._has_matches(self.scan):
-            self._front_end = self._make(self)
+            # a circle of two would keep the points of the whole log in memory long after it is tracked
+            self._front_end = self._make(weakref.proxy(self))
         if len(self.keys) & (len(self.keys) - 1) == 0:  # again whenever their number has doubled
             self.calibrate()
 
