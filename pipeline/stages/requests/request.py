@@ -70,7 +70,10 @@ class Request(Settings):
         fields = dict(self)
         named = [value for value in fields.values() if isinstance(value, str) and os.path.isfile(value)]
         images = [image for name in MAPS for image in _images(fields.get(name))]
-        return [path for path in (*_paths(fields), *map(Path, named), *images) if os.path.exists(path)]
+        world = _world_files(fields.get("world"))
+        return [
+            path for path in (*_paths(fields), *map(Path, named), *images, *world) if os.path.exists(path)
+        ]
 
     def moved(self, place: Place) -> Self:
         """The same request with other paths, and other names of what may be a file."""
@@ -85,6 +88,17 @@ def _images(path: Any) -> list[Path]:
 
     with suppress(InputError):
         return [map_files(path)["map_image"]]
+    return []
+
+
+def _world_files(name: Any) -> list[Path]:
+    """The files of a world that is one of the user's, with its options; none of anything else."""
+    if not isinstance(name, str) or not os.path.isfile(name.partition("+clutter:")[0].partition(":")[0]):
+        return []
+    from turtlebag.sim.worlds import own_files
+
+    with suppress(InputError):
+        return [*own_files(name, None).values()]
     return []
 
 
