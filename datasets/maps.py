@@ -31,7 +31,7 @@ from turtlebag.datasets.grid import (
     UNKNOWN,
     OccupancyGrid,
 )
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import load_model
 
 # Trinary pixels of map_saver. 205 reads back as (255 - 205) / 255 = 0.19608, which is "unknown" only
@@ -98,11 +98,14 @@ def save_map(grid: OccupancyGrid, folder: Path, name: str = "map") -> Path:
     return path
 
 
-def save_confidence(confidence: Array, path: Path) -> None:
+def save_confidence(confidence: NDArray[np.float32], path: Path) -> None:
     """Write the probability of each cell (rows, cols) that it is as the map says: a pgm of the map's size,
     black for 0 to white for 1."""
     rows, cols = confidence.shape
-    pixels = np.rint(255.0 * confidence).astype(np.uint8)
+    # row by row: a large map as a whole would take three copies
+    pixels = np.empty((rows, cols), dtype=np.uint8)
+    for row, values in zip(pixels, confidence, strict=True):
+        np.rint(255.0 * values, out=row, casting="unsafe")
     path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + pixels[::-1].tobytes())
 
 

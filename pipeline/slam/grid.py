@@ -1,10 +1,9 @@
 """Occupancy grid from posed scans: hits and misses along every beam, also those without return.
 
 The reflectance model of Haehnel (2004), in the line of Moravec and Elfes (1985): a cell is occupied when
-enough of the beams that met it were returned by it. Unlike summed log-odds this
-keeps a wall that many beams graze. Beams without return (+inf) clear in a second pass, up to the first
-surface. Cells are rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed or counted
-twice.
+enough of the beams that met it were returned by it. Unlike summed log-odds this keeps a wall that many beams
+graze. Beams without return (+inf) clear in a second pass, up to the first surface. Cells are rastered exactly
+(Amanatides and Woo 1987), so no cell a beam crosses is missed or counted twice.
 """
 
 from __future__ import annotations
@@ -73,12 +72,11 @@ class CheckedGrid(NamedTuple):
 
     grid: OccupancyGrid
     certainty: Certainty
-    confidence: Array
+    confidence: NDArray[np.float32]
 
 
 class Counts(NamedTuple):
-    """For each cell (rows, cols), the number of beams that it returned, and of those that passed through
-    it."""
+    """For each cell (rows, cols), how many beams it returned, and how many passed through it."""
 
     hits: NDArray[np.uint16]
     misses: NDArray[np.uint16]
@@ -86,7 +84,7 @@ class Counts(NamedTuple):
     @classmethod
     def none(cls, rows: int, cols: int) -> Counts:
         """No beams so far."""
-        return cls(np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16))
+        return cls(*np.zeros((2, rows, cols), dtype=np.uint16))
 
 
 @dataclass(frozen=True)
@@ -140,17 +138,19 @@ def make_checked_grid(
     grid = trimmed(classify(counts, config), corner, config)
     col, row = np.rint(grid.T_map_grid.xy / resolution - corner).astype(int)
     kept = (slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1]))
-    confidence = cell_confidence(grid.cells, counts.hits[kept], counts.misses[kept], config.occupied_share)
+    confidence = cell_confidence(grid.cells, Counts(*(c[kept] for c in counts)), config.occupied_share)
     return CheckedGrid(grid, certainty(counts, config.min_hits), confidence)
 
 
-def cell_confidence(
-    cells: NDArray[np.int8], hits: NDArray[np.uint16], misses: NDArray[np.uint16], occupied_share: float
-) -> Array:
+def cell_confidence(cells: NDArray[np.int8], counts: Counts, occupied_share: float) -> NDArray[np.float32]:
     """The probability that each cell (rows, cols) is as it is drawn: that of many more beams it would return
     `occupied_share`, or fewer where it is free (Beta distribution, Jeffreys' prior)."""
-    free = scipy.special.betainc(hits + 0.5, misses + 0.5, occupied_share)
-    return np.asarray(np.where(cells == OCCUPIED, 1.0 - free, np.where(cells == FREE, free, 0.0)))
+    confidence = np.zeros(cells.shape, dtype=np.float32)
+    for out, row, hits, misses in zip(confidence, cells, *counts, strict=True):
+        known = row != UNKNOWN
+        free = scipy.special.betainc(hits[known] + 0.5, misses[known] + 0.5, occupied_share)
+        out[known] = np.where(row[known] == OCCUPIED, 1.0 - free, free)
+    return confidence
 
 
 class View(NamedTuple):

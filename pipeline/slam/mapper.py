@@ -124,7 +124,7 @@ class SlamResult:
     trajectory: Trajectory
     covariance: Array
     grid: OccupancyGrid
-    confidence: Array
+    confidence: NDArray[np.float32]
     check: SelfCheck
     session: Session
 

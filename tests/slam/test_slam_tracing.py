@@ -228,7 +228,7 @@ def test_a_cell_is_the_surer_the_more_beams_agree_on_it():
     cells = np.array([[OCCUPIED, OCCUPIED, OCCUPIED, FREE, FREE, UNKNOWN]], dtype=np.int8)
     hits = np.array([[2, 50, 13, 0, 0, 0]], dtype=np.uint16)
     misses = np.array([[1, 5, 38, 1, 80, 0]], dtype=np.uint16)
-    (few, many, even, once, often, unknown) = cell_confidence(cells, hits, misses, 0.25)[0].tolist()
+    (few, many, even, once, often, unknown) = cell_confidence(cells, Counts(hits, misses), 0.25)[0].tolist()
     assert 0.4 < even < 0.7 < few < many
     assert 0.5 < once < 0.95 < often <= 1.0
     assert unknown == 0.0
