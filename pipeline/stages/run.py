@@ -16,6 +16,7 @@ from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest,
 from turtlebag.pipeline.stages.requests.options import XYT, Laser
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs, Source
@@ -40,6 +41,8 @@ def run(request: Request, out: Output) -> int:
             return _map(request, out)
         case LocaliseRequest():
             return _localise(request, out)
+        case IdentifyRequest():
+            return _identify(request, out)
         case PlanRequest():
             return _plan(request, out)
         case NavigateRequest():
@@ -121,6 +124,21 @@ def _localise(request: LocaliseRequest, out: Output) -> int:
         truth=request.truth,
         config=load_localise_config(request.config, request.settings),
         seed=request.seed,
+    )
+
+
+def _identify(request: IdentifyRequest, out: Output) -> int:
+    from turtlebag.pipeline.stages.identify import identify_robot
+    from turtlebag.sim.robots import load_robot
+
+    base = Path(request.robot)
+    return identify_robot(
+        _source(request.source, request.laser, request.topic),
+        load_robot(request.robot),
+        out,
+        config=request.config,
+        settings=request.settings,
+        files={"robot": base} if base.is_file() else {},
     )
 
 

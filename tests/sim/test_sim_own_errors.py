@@ -25,7 +25,9 @@ def driven(robot, command, steps=150):
         start = sim.reset().odometry.T_odom_base
         for _ in range(steps):
             last = sim.step(command)
-        return (start.inverse() @ sim.truth.T_world_base).xyt, (start.inverse() @ last.odometry.T_odom_base).xyt
+        return (start.inverse() @ sim.truth.T_world_base).xyt, (
+            start.inverse() @ last.odometry.T_odom_base
+        ).xyt
 
 
 def test_a_controller_with_a_larger_radius_overstates_the_way():

@@ -7,6 +7,7 @@ from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateR
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
 
 KINDS: tuple[type[Request], ...] = (
@@ -14,6 +15,7 @@ KINDS: tuple[type[Request], ...] = (
     KeyboardRequest,
     MapRequest,
     LocaliseRequest,
+    IdentifyRequest,
     PlanRequest,
     NavigateRequest,
     ReportRequest,
