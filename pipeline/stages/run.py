@@ -18,6 +18,7 @@ from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportReque
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
+from turtlebag.pipeline.stages.requests.twins import TwinRequest
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log, say
@@ -43,6 +44,8 @@ def run(request: Request, out: Output) -> int:
             return _localise(request, out)
         case IdentifyRequest():
             return _identify(request, out)
+        case TwinRequest():
+            return _twin(request, out)
         case PlanRequest():
             return _plan(request, out)
         case NavigateRequest():
@@ -136,6 +139,23 @@ def _identify(request: IdentifyRequest, out: Output) -> int:
         _source(request.source, request.laser, request.topic),
         load_robot(request.robot),
         out,
+        config=request.config,
+        settings=request.settings,
+        files={"robot": base} if base.is_file() else {},
+    )
+
+
+def _twin(request: TwinRequest, out: Output) -> int:
+    from turtlebag.pipeline.stages.twin import make_twin
+    from turtlebag.sim.robots import load_robot
+
+    base = Path(request.robot)
+    return make_twin(
+        _source(request.source, request.laser, request.topic),
+        load_robot(request.robot),
+        out,
+        drives=request.drives,
+        seed=request.seed,
         config=request.config,
         settings=request.settings,
         files={"robot": base} if base.is_file() else {},
