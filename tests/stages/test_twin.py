@@ -9,6 +9,9 @@ from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.requests.drives import RecordRequest
+from turtlebag.pipeline.stages.requests.studio import StudioRequest
+from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.twin.comparison import cliffs_delta, compare, holm
 from turtlebag.pipeline.twin.driver import Drive
 from turtlebag.sim.robots import load_robot
@@ -60,11 +63,22 @@ def test_the_page_says_what_differs_and_what_does_not(twin):
 
 
 def test_the_robot_navigates_in_its_twin(twin, tmp_path):
-    words = ["--world", str(twin / "world.yaml"), "--robot", str(twin / "robot.yaml")]
-    words += ["--map", str(twin / "map" / "map.yaml"), "--initial-pose", "start", "-q"]
+    words = ["--world", str(twin), "--map", str(twin / "map" / "map.yaml"), "--initial-pose", "start", "-q"]
     words += ["--task", "goal", "--goal", "-1.6,-0.5,0", "--out", str(tmp_path / "run")]
     assert main(["navigate", *words]) == 0
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["goals"][0]["status"] == "reached"
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert {"world", "world_map", "world_map_image", "robot"} <= {*manifest["inputs"]}
+
+
+def test_the_folder_of_a_twin_stands_for_its_world_its_robot_and_in_the_studio_its_map(twin):
+    asked = StudioRequest.checked(world=str(twin))
+    assert (asked.world, asked.robot) == (str(twin / "world.yaml"), str(twin / "robot.yaml"))
+    assert asked.map == twin / "map" / "map.yaml"
+    assert RecordRequest.checked(world=f"{twin}+clutter:1", robot="burger").robot == "burger"
+    session = StudioSetup(asked.world, asked.robot, 1, asked.map)
+    assert session.scene().world == "twin_of_rec"
+    assert session.header().map == str(asked.map.resolve())
 
 
 def test_a_drive_is_held_on_its_path_whatever_the_commands_say():

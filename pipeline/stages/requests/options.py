@@ -219,7 +219,9 @@ Count = Annotated[int, Field(ge=1)]
 World = Annotated[
     Name,
     Option(
-        "W", "world: a name, a YAML or SDF file, a map's YAML file, or your own class (module:Class)", "empty"
+        "W",
+        "world: a name, a YAML or SDF file, a map's YAML, a twin's folder, or your own class (module:Class)",
+        "empty",
     ),
 ]
 Robot = Annotated[

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from pydantic import ValidationError, field_validator
+from pydantic import ValidationError, field_validator, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
@@ -43,6 +43,21 @@ class Request(Settings):
                 known = ", ".join(cls.model_fields)
                 raise InputError(f"{where}: {cls.VERB} has no such option (known: {known})") from None
             raise InputError(f"{where}: {plain_message(first)}") from None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_twin(cls, given: Any) -> Any:
+        """Of a world that is the folder of a twin its world and robot, and for the studio its map."""
+        world = given.get("world") if isinstance(given, dict) else None
+        folder, clutter, things = str(world).partition("+clutter:")
+        if not isinstance(world, str | os.PathLike) or not os.path.isfile(os.path.join(folder, "world.yaml")):
+            return given
+        own = {"robot": "robot.yaml", **({"map": "map/map.yaml"} if cls.VERB == "studio" else {})}
+        files = {name: os.path.join(folder, file) for name, file in own.items()}
+        found = {
+            name: file for name, file in files.items() if given.get(name) is None and os.path.isfile(file)
+        }
+        return {**given, **found, "world": os.path.join(folder, "world.yaml") + clutter + things}
 
     @field_validator("*", mode="before")
     @classmethod
