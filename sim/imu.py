@@ -9,29 +9,36 @@ import numpy as np
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import NonNegative, Settings
 from turtlebag.datasets.types import Imu, Twist
-from turtlebag.sim.robots import CONTROL_HZ, RobotSpec
+from turtlebag.sim.robots import CONTROL_HZ, ImuMount, RobotSpec
 
 RATE_HZ = 100
 GRAVITY = 9.81
 
 
 class ImuConfig(Settings):
-    """Standard deviations: white noise a sample, bias at the start, and bias walk a root-second."""
+    """Standard deviations: white noise a sample, bias at the start, and bias walk a root-second; None: as in
+    the robot's file.
+    """
 
     enabled: bool = True
     """Whether there is an IMU."""
-    gyro_noise: NonNegative = 2e-4
+    gyro_noise: NonNegative | None = None
     """Of a sample of the gyro [rad/s]."""
-    gyro_bias: NonNegative = 5e-4
+    gyro_bias: NonNegative | None = None
     """Of the gyro's bias at the start [rad/s]."""
-    gyro_walk: NonNegative = 2e-5
+    gyro_walk: NonNegative | None = None
     """Of its walk [rad/s/sqrt(s)]."""
-    accelerometer_noise: NonNegative = 1.7e-2
+    accelerometer_noise: NonNegative | None = None
     """Of a sample of the accelerometer [m/s^2]."""
-    accelerometer_bias: NonNegative = 5e-2
+    accelerometer_bias: NonNegative | None = None
     """Of its bias at the start [m/s^2]."""
-    accelerometer_walk: NonNegative = 5e-4
+    accelerometer_walk: NonNegative | None = None
     """Of its walk [m/s^2/sqrt(s)]."""
+
+    def resolved(self, mount: ImuMount) -> ImuConfig:
+        """The same with the errors of this IMU where none are set."""
+        own = mount.model_dump(exclude={"position"})
+        return self.model_copy(update={name: of for name, of in own.items() if getattr(self, name) is None})
 
 
 class ImuSensor:
@@ -40,9 +47,13 @@ class ImuSensor:
     def __init__(self, robot: RobotSpec, config: ImuConfig, rng: np.random.Generator) -> None:
         self._config, self._rng = config, rng
         self._lever = robot.imu.position[:2]
-        self._noise = np.repeat([config.gyro_noise, config.accelerometer_noise], 3)
-        self._walk = np.repeat([config.gyro_walk, config.accelerometer_walk], 3) / math.sqrt(RATE_HZ)
-        self._bias = np.repeat([config.gyro_bias, config.accelerometer_bias], 3) * rng.standard_normal(6)
+        errors = config.resolved(robot.imu).model_dump()
+        noise, bias, walk = (
+            np.repeat([errors[f"gyro_{name}"], errors[f"accelerometer_{name}"]], 3)
+            for name in ("noise", "bias", "walk")
+        )
+        self._noise, self._walk = noise, walk / math.sqrt(RATE_HZ)
+        self._bias = bias * rng.standard_normal(6)
         self._last = Twist()
         self._count = 0
 

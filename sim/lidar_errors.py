@@ -18,9 +18,9 @@ class LidarUnit:
 
     def __init__(self, errors: LidarErrors, rng: np.random.Generator) -> None:
         self._errors, self._rng = errors, rng
-        self._offset = errors.offset * self._draw()
+        self._offset = errors.known_offset + errors.offset * self._draw()
         self._scale = errors.scale * self._draw()
-        self._square = errors.square * self._draw()
+        self._square = errors.known_square + errors.square * self._draw()
         self._speed = errors.speed * self._draw()
         self._turn_scale = 0.0
         self.delay_s = 0.0

@@ -33,6 +33,8 @@ class Limits(Settings):
     max_dv: Positive
     max_dw: Positive
     wheel_acceleration: Positive
+    command_delay: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
+    """From a command until it reaches the motors [s], in whole control steps."""
 
 
 class _Part(Settings):
@@ -63,7 +65,9 @@ Part = Annotated[BoxPart | SpherePart, Field(discriminator="kind")]
 
 
 class Wheels(Settings):
-    """Two driven wheels; `joint_y` is their true position, `separation` the controller's value."""
+    """Two driven wheels. `radius` and `joint_y` are true, `controller_radius` (None: the true one) and
+    `separation` are the controller's values.
+    """
 
     radius: Positive
     width: Positive
@@ -75,6 +79,14 @@ class Wheels(Settings):
     encoder_ticks: int = Field(gt=0)
     friction: Positive = 0.5
     """On the floor, unless a run sets `physics.friction`."""
+    controller_radius: Positive | None = None
+    turn_per_m: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """How much it turns where its odometry says straight ahead, as one wheel is larger [rad/m]."""
+    calibration_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+    """The controller's radius and track are wrong by up to this share, drawn once per run."""
+    slip: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
+    turn_slip: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    """Random slip, as in `sim.odometry`; None: by `sim.sensors`."""
 
 
 class LidarErrors(Settings):
@@ -85,7 +97,8 @@ class LidarErrors(Settings):
     `turn_scale`, a share of all its distances; `jitter`, a share of its time; `stamp_delay` [s], from the
     first beam to the stamp, uniform between the two values. Per unit, drawn once per run:
     `offset` [m], `scale`, `square` [1/m], and `speed`, a share of the rotation rate. Lost beams: a share
-    `lost` of all, and exp(-c / grazing) of those that hit a surface at a cosine c to its normal.
+    `lost` of all, and exp(-c / grazing) of those that hit a surface at a cosine c to its normal. What is
+    known of this very unit comes on top of what is drawn: `known_offset` [m], `known_square` [1/m].
     """
 
     sigma: NonNegative = 0.01
@@ -99,6 +112,8 @@ class LidarErrors(Settings):
     scale: NonNegative = 0.0
     square: NonNegative = 0.0
     speed: Annotated[float, Field(ge=0.0, le=0.05)] = 0.0
+    known_offset: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    known_square: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
     lost: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     grazing: NonNegative = 0.0
 
@@ -152,9 +167,17 @@ class Lidar3dMount(Settings):
 
 
 class ImuMount(Settings):
-    """Where the IMU sits in base_footprint."""
+    """Where the IMU sits in base_footprint, and its errors: standard deviations of white noise a sample, of
+    the bias at the start, and of the bias's walk a root-second.
+    """
 
     position: Vector
+    gyro_noise: NonNegative = 2e-4
+    gyro_bias: NonNegative = 5e-4
+    gyro_walk: NonNegative = 2e-5
+    accelerometer_noise: NonNegative = 1.7e-2
+    accelerometer_bias: NonNegative = 5e-2
+    accelerometer_walk: NonNegative = 5e-4
 
 
 class RobotSpec(Settings):

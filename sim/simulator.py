@@ -56,15 +56,17 @@ class SimConfig(Settings):
             given = {} if lidar.sigma is None else {"sigma": lidar.sigma}
             given |= {} if lidar.errors is None else lidar.errors.model_dump(exclude_unset=True)
             errors = LidarErrors.model_validate(robot.lidar.errors.model_dump() | given)
-        slips = {
-            name: (usual if realistic else 0.0)
-            for name, usual in REALISTIC_SLIP.items()
-            if getattr(odometry, name) is None
-        }
+        share = robot.wheels.calibration_error
+        usual = {"radius_error": share, "track_error": share}
+        for name, assumed in REALISTIC_SLIP.items():
+            own = getattr(robot.wheels, name)
+            usual[name] = 0.0 if not realistic else assumed if own is None else own
+        wheel_errors = {name: of for name, of in usual.items() if getattr(odometry, name) is None}
         return self.model_copy(
             update={
                 "lidar": lidar.model_copy(update={"noise": noise, "errors": errors}),
-                "odometry": odometry.model_copy(update=slips),
+                "odometry": odometry.model_copy(update=wheel_errors),
+                "imu": self.imu.resolved(robot.imu),
             }
         )
 
@@ -191,7 +193,9 @@ class Simulator:
             around.require_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
         self.surroundings = around
         self._sensors = _Sensors(self.world, self.robot, self.config, self.seed, step)
-        self._faults = Faults(self.config.faults, stream(self.seed, "faults"), step)
+        late = self.config.faults.command_delay + self.robot.limits.command_delay
+        faults = self.config.faults.model_copy(update={"command_delay": late})
+        self._faults = Faults(faults, stream(self.seed, "faults"), step)
         self._board = Board(self.robot, self.config.odometry, self.seed, start)
         self._physics.reset(start, [one.position for one in around.movers])
         self._step = step

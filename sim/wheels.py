@@ -18,28 +18,35 @@ from turtlebag.sim.robots import PERIOD_S, RobotSpec
 class OdometryConfig(Settings):
     """Errors of wheel odometry.
 
-    Calibration: configured wheel radius and track are wrong by up to these fractions, drawn once per run.
+    Calibration: configured wheel radius and track are wrong by up to these fractions, drawn once per run;
+    None: by the robot's `calibration_error`.
     Slip: `slip` is the standard deviation of a wheel's slip [m] after a metre, `turn_slip`
     of opposite slip of both [rad] after a turn of a radian; both grow with the square root.
     """
 
-    radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+    radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
     """Largest error of the configured wheel radius, as a fraction of it; drawn once a run."""
-    track_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+    track_error: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
     """The same of the distance between the wheels."""
     slip: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
-    """None: by `sim.sensors`."""
+    """None: by the robot, else by `sim.sensors`."""
     turn_slip: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
-    """None: by `sim.sensors`."""
+    """None: by the robot, else by `sim.sensors`."""
 
 
 class Calibration:
-    """Wheel radius and track [m] as the board believes them."""
+    """Track and wheel radii, left and right [m], as the board believes them."""
 
     def __init__(self, robot: RobotSpec, config: OdometryConfig, rng: np.random.Generator) -> None:
-        radius, track = rng.uniform(-1.0, 1.0, 2)
-        self.radius = robot.wheels.radius * (1.0 + config.radius_error * float(radius))
-        self.track = robot.wheels.separation * (1.0 + config.track_error * float(track))
+        wheels, (radius, track) = robot.wheels, rng.uniform(-1.0, 1.0, 2)
+        radius_error, track_error = (
+            wheels.calibration_error if error is None else error
+            for error in (config.radius_error, config.track_error)
+        )
+        middle = (wheels.controller_radius or wheels.radius) * (1.0 + radius_error * float(radius))
+        aside = wheels.turn_per_m * wheels.joint_y
+        self.radii = (middle * (1.0 + aside), middle * (1.0 - aside))
+        self.track = wheels.separation * (1.0 + track_error * float(track))
 
 
 class Motors:
@@ -60,7 +67,8 @@ class Motors:
         swing = 0.5 * self._calibration.track * self._w
         self._left = _approach(self._left, self._v - swing, limits.wheel_acceleration * dt)
         self._right = _approach(self._right, self._v + swing, limits.wheel_acceleration * dt)
-        return self._left / self._calibration.radius, self._right / self._calibration.radius
+        left, right = self._calibration.radii
+        return self._left / left, self._right / right
 
 
 def _approach(value: float, target: float, step: float) -> float:
@@ -106,8 +114,10 @@ class WheelOdometry:
         ticks = (math.floor(left_rad / self._rad_per_tick), math.floor(right_rad / self._rad_per_tick))
         last = self._ticks or ticks
         self._ticks = ticks
-        scale = self._rad_per_tick * self._calibration.radius
-        left, right = (ticks[0] - last[0]) * scale, (ticks[1] - last[1]) * scale
+        left, right = (
+            (now - before) * self._rad_per_tick * radius
+            for now, before, radius in zip(ticks, last, self._calibration.radii, strict=True)
+        )
         forward, turn = 0.5 * (left + right), (right - left) / self._calibration.track
         self._x += forward * math.cos(self._yaw + 0.5 * turn)
         self._y += forward * math.sin(self._yaw + 0.5 * turn)

@@ -20,6 +20,8 @@ MAY_IMPORT = {
     "pipeline/localisation": ["datasets"],
     "pipeline/terminal": ["datasets", "sim"],
     "pipeline/navigation": [*BELOW, "pipeline/slam", "pipeline/localisation", "pipeline/terminal"],
+    "pipeline/identify": ["datasets", "sim", "pipeline/slam"],
+    "pipeline/twin": ["datasets", "sim", "pipeline/slam", "pipeline/identify"],
 }
 MAY_IMPORT["pipeline/studio"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/stages"] = [*MAY_IMPORT]

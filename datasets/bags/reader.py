@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +31,7 @@ _TWISTS = {
     "geometry_msgs/msg/Twist": decode.twist,
     "geometry_msgs/msg/TwistStamped": decode.twist_stamped,
 }
+_JOINTS = "sensor_msgs/msg/JointState"
 _ARRAYS = {"geometry_msgs/msg/PoseArray": decode.pose_array}
 
 
@@ -94,7 +95,31 @@ def read_poses(path: Path, topic: str) -> Trajectory:
 
 def read_commands(path: Path) -> tuple[Stamps, Array, Array]:
     """Log times [ns], forward [m/s] and yaw speeds [rad/s] of /cmd_vel (Twist or TwistStamped)."""
-    found = _decoded(path, "/cmd_vel", _TWISTS, "commands")
+    return _commands(_decoded(path, "/cmd_vel", _TWISTS, "commands"))
+
+
+def read_drive(path: Path) -> tuple[tuple[Stamps, Array, Array] | None, Array | None]:
+    """The commands of a bag, as `read_commands` has them, and the angles (n, joints) [rad] of /joint_states in
+    their order, of the joints that the first names; None for what a bag has not."""
+    bag, speeds, joints = open_bag(path), [], []
+
+    def wanted(topic: Topic) -> bool:
+        return (topic.name, topic.msgtype) == ("/joint_states", _JOINTS) or (
+            topic.name == "/cmd_vel" and topic.msgtype in _TWISTS
+        )
+
+    for message in bag.messages(wanted):
+        with suppress(BadMessage):
+            cursor = bag.cursor(message.data)
+            if message.topic.name == "/cmd_vel":
+                speeds.append((message.log_time_ns, _TWISTS[message.topic.msgtype](cursor)))
+            else:
+                joints.append(decode.joint_state(cursor)[1:])
+    rows = [angles for names, angles in joints if names == joints[0][0] and len(angles) == len(names) > 0]
+    return _commands(speeds) if speeds else None, np.array(rows) if rows else None
+
+
+def _commands(found: Sequence[tuple[int, tuple[float, float]]]) -> tuple[Stamps, Array, Array]:
     v, w = np.array([speeds for _, speeds in found]).T
     return np.array([time for time, _ in found], dtype=np.int64), v, w
 

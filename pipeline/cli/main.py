@@ -29,6 +29,8 @@ VERBS = {
     "studio": "open a simulated robot in the browser: drive, map, set goals",
     "map": "build a map from a bag or log",
     "localise": "localise a recorded robot on a map",
+    "identify": "estimate the parameters of a robot from a recording of it",
+    "twin": "make a twin of a recording: its building and its robot, and drive it again",
     "navigate": "run a task in closed loop: patrol, goal, avoid or explore",
     "plan": "plan a path on a map",
     "report": "make an HTML report from the outputs of other commands",
@@ -41,7 +43,7 @@ VERBS = {
     "doctor": "check the installation",
     "completion": "print a script that completes commands in your shell",
 }
-STAGES = ("record", "teleop", "map", "localise", "navigate", "plan", "report", "compare")
+STAGES = ("record", "teleop", "map", "localise", "identify", "twin", "navigate", "plan", "report", "compare")
 
 EXIT_OK, EXIT_INPUT = 0, 2
 

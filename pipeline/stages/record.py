@@ -150,11 +150,12 @@ def record_drive(
     inputs: Mapping[str, Path] | None = None,
     watch: Callable[[Observation], None] | None = None,
     longest_s: float = LONGEST_S,
+    tell: bool = True,
 ) -> int:
     """Record what a driver does (sim.teleop_scripts: a generator of commands that is sent the truth).
 
     `teleop` names it in config.yaml; `watch` is shown every observation. A drive of `longest_s` of simulated
-    time is ended as one that got stuck. Exit code as of `record`.
+    time is ended as one that got stuck. `tell`: say where it is afterwards. Exit code as of `record`.
     """
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
@@ -189,7 +190,10 @@ def record_drive(
         )
     if interrupted:
         log.warning("interrupted; the recording so far is kept")
-    log.info(f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out.folder}")
+    if tell:
+        log.info(
+            f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out.folder}"
+        )
     if stuck:
         log.error("the drive ended early: %s", stuck)
     return 128 + interrupted[0] if interrupted else int(stuck is not None)

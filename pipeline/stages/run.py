@@ -17,7 +17,9 @@ from turtlebag.pipeline.stages.requests.options import XYT, Laser
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
+from turtlebag.pipeline.stages.requests.twins import TwinRequest
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log, say
@@ -41,6 +43,10 @@ def run(request: Request, out: Output) -> int:
             return _map(request, out)
         case LocaliseRequest():
             return _localise(request, out)
+        case IdentifyRequest():
+            return _identify(request, out)
+        case TwinRequest():
+            return _twin(request, out)
         case PlanRequest():
             return _plan(request, out)
         case NavigateRequest():
@@ -126,6 +132,38 @@ def _localise(request: LocaliseRequest, out: Output) -> int:
         truth=request.truth,
         config=load_localise_config(request.config, request.settings),
         seed=request.seed,
+    )
+
+
+def _identify(request: IdentifyRequest, out: Output) -> int:
+    from turtlebag.pipeline.stages.identify import identify_robot
+    from turtlebag.sim.robots import load_robot
+
+    base = Path(request.robot)
+    return identify_robot(
+        _source(request.source, request.laser, request.topic),
+        load_robot(request.robot),
+        out,
+        config=request.config,
+        settings=request.settings,
+        files={"robot": base} if base.is_file() else {},
+    )
+
+
+def _twin(request: TwinRequest, out: Output) -> int:
+    from turtlebag.pipeline.stages.twin import make_twin
+    from turtlebag.sim.robots import load_robot
+
+    base = Path(request.robot)
+    return make_twin(
+        _source(request.source, request.laser, request.topic),
+        load_robot(request.robot),
+        out,
+        drives=request.drives,
+        seed=request.seed,
+        config=request.config,
+        settings=request.settings,
+        files={"robot": base} if base.is_file() else {},
     )
 
 

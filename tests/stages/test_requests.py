@@ -17,6 +17,8 @@ NEEDED = {
     "map": ["rec"],
     "localise": ["rec", "--map", "m.yaml"],
     "plan": ["--map", "m.yaml", "--start=-2,0,0", "--goal", "1,1,0"],
+    "identify": ["rec"],
+    "twin": ["rec"],
     "report": ["rec", "map"],
     "compare": ["a", "b"],
     "bag convert": ["rec"],

@@ -124,10 +124,23 @@ def range_errors(scans: Scans, track: Track) -> RangeCalibration:
 def calibrate_ranges(
     clouds: Clouds, keys: NDArray[np.int64], T_track_keys: SE2, usable_m: float
 ) -> RangeCalibration:
-    """The calibration that best aligns what key scans (n,) saw, as placed by a front end.
+    """The calibration that best aligns what key scans (n,) saw; an insignificant or impossible error counts
+    as none."""
+    value, information, prior = range_fit(clouds, keys, T_track_keys, usable_m)
+    significant = value @ information @ value > SIGNIFICANT_SIGMAS**2
+    possible = value @ prior @ value < POSSIBLE_SIGMAS**2
+    found = RangeCalibration(float(value[0]), float(value[1]))
+    return found if significant and possible else RangeCalibration()
+
+
+def range_fit(
+    clouds: Clouds, keys: NDArray[np.int64], T_track_keys: SE2, usable_m: float
+) -> tuple[Array, Array, Array]:
+    """Offset and square (2,) by key scans (n,) as placed by a front end, what the scans say of them and what
+    is known a priori, as informations (2, 2).
 
     Gauss-Newton steps at fixed poses. If few surfaces were seen from several ranges, the prior dominates: no
-    error, to within OFFSET_M and SHARE of `usable_m`. An insignificant or impossible error counts as none.
+    error, to within OFFSET_M and SHARE of `usable_m`.
     """
     pairs = overlapping_pairs(T_track_keys)
     prior = np.diag([OFFSET_M**-2.0, (SHARE / usable_m) ** -2.0])
@@ -138,10 +151,7 @@ def calibrate_ranges(
         value = value - np.linalg.solve(
             h / STEP_COVARIANCE_SCALE + prior, g / STEP_COVARIANCE_SCALE + prior @ value
         )
-    significant = value @ (h / STEP_COVARIANCE_SCALE) @ value > SIGNIFICANT_SIGMAS**2
-    possible = value @ prior @ value < POSSIBLE_SIGMAS**2
-    found = RangeCalibration(float(value[0]), float(value[1]))
-    return found if significant and possible else RangeCalibration()
+    return value, h / STEP_COVARIANCE_SCALE, prior
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,96 @@
+"""Stage `identify`: a bag in, the robot that made it out: a file for the simulator, and a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json
+from turtlebag.datasets.parts import source_files
+from turtlebag.datasets.yaml_files import config_text
+from turtlebag.pipeline.identify.identify import Identification, Streams, identify, require_motion
+from turtlebag.pipeline.identify.robot_file import nav2_yaml, scan_filter, transform_arguments
+from turtlebag.pipeline.slam.mapper import SlamConfig
+from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
+from turtlebag.pipeline.stages.sources import Source
+from turtlebag.pipeline.terminal.messages import log, log_notes, track
+from turtlebag.reports.figures.album import Album
+from turtlebag.reports.identify import draw_plots, identify_page
+from turtlebag.sim.robots import RobotSpec
+
+
+def identify_robot(
+    source: Source,
+    base: RobotSpec,
+    out: Output,
+    *,
+    config: ConfigSource = None,
+    settings: Chosen = (),
+    files: dict[str, Path] | None = None,
+) -> int:
+    """Write the robot of a recording; 0. `files` are those that `base` comes from. InputError for a recording
+    without scans, odometry or motion."""
+    watch, settled = Stopwatch(), load_config(SlamConfig, config, settings)
+    recording = source.load()
+    require_motion(recording)
+    log_notes(recording.notes)
+    found = identify(recording, base, Streams.of(source.path), settled, track)
+    parts = settled.parts()
+    with out.staged() as folder:
+        write_identification(found, folder, source.path)
+        inputs = {"source": source.path, **(files or {}), **source_files(parts)}
+        out.finish(
+            folder, "identify", inputs, metrics=metrics_of(found), config=config_text(settled),
+            extra={"robot": base.name, "parts": parts},
+        )  # fmt: skip
+    shown = sum(one.observable for one in found.estimates)
+    log.info(
+        f"{shown} of {len(found.estimates)} parameters in {watch.seconds():.1f} s -> {out.folder / 'robot.yaml'}"
+    )
+    return 0
+
+
+def metrics_of(found: Identification) -> dict[str, Any]:
+    """metrics.json: the value and interval of each parameter that the bag shows."""
+    shown = {
+        one.name: {"value": one.value, "interval_95": list(one.interval_95)}
+        for one in found.estimates
+        if one.observable
+    }
+    return {"scans": len(found.recording), "log_s": found.recording.duration(), "parameters": shown}
+
+
+def write_identification(found: Identification, folder: Path, source: Path) -> None:
+    """robot.yaml, identify.json, what other programs want, and the page with its figures."""
+    values, base = found.values, found.base
+    heading = (
+        f"# Identified by turtlebag identify; shape, masses and what the bag does not show: {base.name}.\n"
+    )
+    (folder / "robot.yaml").write_text(heading + _yaml(found.robot.model_dump(mode="json")))
+    write_json(folder / "identify.json", found.as_record())
+    (folder / "nav2.yaml").write_text(_yaml(nav2_yaml(values, base)))
+    (folder / "scan_filter.yaml").write_text(_yaml(scan_filter(values)))
+    (folder / "static_transform_publisher.txt").write_text(transform_arguments(values, base))
+    album = Album(folder / "figures")
+    draw_plots(found.plots, album)
+    others = {
+        name: (folder / name).read_text()
+        for name in ("nav2.yaml", "scan_filter.yaml", "static_transform_publisher.txt")
+    }
+    page = identify_page(source.name, base.name, found.as_record()["parameters"], album.pictures, others)
+    (folder / "index.html").write_text(page)
+
+
+def _yaml(data: dict[str, Any]) -> str:
+    return yaml.safe_dump(_short(data), sort_keys=False, default_flow_style=None, width=110)
+
+
+def _short(data: Any) -> Any:
+    """The data with six digits of each number."""
+    if isinstance(data, dict):
+        return {key: _short(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_short(value) for value in data]
+    return float(f"{data:.6g}") if isinstance(data, float) else data
