@@ -107,7 +107,8 @@ def odometry(frame: str, child: str, stamp_ns: int, T: SE2, velocity: Twist, cov
 
 def transforms(stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]) -> bytes:
     """tf2_msgs/TFMessage with (parent, child, (x, y, z), yaw) each."""
-    stamp, lengths, values = _stamp(stamp_ns), [len(links)], [len(links)]
+    stamp, lengths = _stamp(stamp_ns), [len(links)]
+    values: list[Any] = [len(links)]
     for parent, child, xyz, yaw in links:
         above, below = _text(parent), _text(child)
         lengths += above[0], below[0]
