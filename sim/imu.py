@@ -19,12 +19,19 @@ class ImuConfig(Settings):
     """Standard deviations: white noise a sample, bias at the start, and bias walk a root-second."""
 
     enabled: bool = True
+    """Whether there is an IMU."""
     gyro_noise: NonNegative = 2e-4
+    """Of a sample of the gyro [rad/s]."""
     gyro_bias: NonNegative = 5e-4
+    """Of the gyro's bias at the start [rad/s]."""
     gyro_walk: NonNegative = 2e-5
+    """Of its walk [rad/s/sqrt(s)]."""
     accelerometer_noise: NonNegative = 1.7e-2
+    """Of a sample of the accelerometer [m/s^2]."""
     accelerometer_bias: NonNegative = 5e-2
+    """Of its bias at the start [m/s^2]."""
     accelerometer_walk: NonNegative = 5e-4
+    """Of its walk [m/s^2/sqrt(s)]."""
 
 
 class ImuSensor:

@@ -24,7 +24,9 @@ class OdometryConfig(Settings):
     """
 
     radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+    """Largest error of the configured wheel radius, as a fraction of it; drawn once a run."""
     track_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+    """The same of the distance between the wheels."""
     slip: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
     """None: by `sim.sensors`."""
     turn_slip: Annotated[float, Field(ge=0.0, le=0.5)] | None = None

@@ -76,9 +76,9 @@ class BagFolder:
             raise InputError(f"{folder}: already holds a bag; choose another folder") from None
         except OSError as error:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-        file = cast(IO[bytes], self._file)
-        self._mcap = cast(Any, Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True))
-        self._mcap._Writer__chunk_builder = _Chunk()  # the same bytes in a third of the time
+        self._mcap = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        # the same bytes in a third of the time; an mcap without this attribute writes its own chunks
+        cast(Any, self._mcap)._Writer__chunk_builder = _Chunk()
         self._mcap.start("ros2", "turtlebag")
         if custom:  # at the beginning, where a crash cannot take it away
             self._mcap.add_metadata(CUSTOM_RECORD, dict(custom))
