@@ -98,15 +98,11 @@ def save_map(grid: OccupancyGrid, folder: Path, name: str = "map") -> Path:
     return path
 
 
-def save_confidence(confidence: NDArray[np.float32], path: Path) -> None:
-    """Write the probability of each cell (rows, cols) that it is as the map says: a pgm of the map's size,
-    black for 0 to white for 1."""
+def save_confidence(confidence: NDArray[np.uint8], path: Path) -> None:
+    """Write the probability of each cell (rows, cols), in 255ths, that it is as the map says: a pgm of the
+    map's size, black for 0 to white for 1."""
     rows, cols = confidence.shape
-    # row by row: a large map as a whole would take three copies
-    pixels = np.empty((rows, cols), dtype=np.uint8)
-    for row, values in zip(pixels, confidence, strict=True):
-        np.rint(255.0 * values, out=row, casting="unsafe")
-    path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + pixels[::-1].tobytes())
+    path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + confidence[::-1].tobytes())
 
 
 def load_map(path: Path) -> OccupancyGrid:

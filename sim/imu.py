@@ -21,12 +21,19 @@ class ImuConfig(Settings):
     """
 
     enabled: bool = True
+    """Whether there is an IMU."""
     gyro_noise: NonNegative | None = None
+    """Of a sample of the gyro [rad/s]."""
     gyro_bias: NonNegative | None = None
+    """Of the gyro's bias at the start [rad/s]."""
     gyro_walk: NonNegative | None = None
+    """Of its walk [rad/s/sqrt(s)]."""
     accelerometer_noise: NonNegative | None = None
+    """Of a sample of the accelerometer [m/s^2]."""
     accelerometer_bias: NonNegative | None = None
+    """Of its bias at the start [m/s^2]."""
     accelerometer_walk: NonNegative | None = None
+    """Of its walk [m/s^2/sqrt(s)]."""
 
     def resolved(self, mount: ImuMount) -> ImuConfig:
         """The same with the errors of this IMU where none are set."""

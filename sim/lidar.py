@@ -35,6 +35,7 @@ class LidarConfig(Settings):
     """
 
     turning: bool = True
+    """Whether the beams of a scan are taken one after another, as the lidar turns; else all at once."""
     noise: Literal["sensor", "gazebo", "datasheet", "none"] | None = None
     """None: by `sim.sensors`; a lidar without a simulator: `gazebo`."""
     errors: LidarErrors | None = None

@@ -42,6 +42,10 @@ class World:
         """Outlines of everything that a robot of that height can touch."""
         return sections(self.below(height), 0.0, height)
 
+    def circles(self, z: float) -> Array:
+        """Round solids at height z, (m, 3) x, y, radius [m]."""
+        return sections(self.crossing(z), z).circles
+
     def rasterize(self, z: float, resolution: float | None = None) -> OccupancyGrid:
         """The true map at height z, that of a perfect lidar there (see turtlebag.sim.rasterize).
 

@@ -15,6 +15,7 @@ from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateR
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.options import XYT, Laser
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
+from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
@@ -65,6 +66,10 @@ def run(request: Request, out: Output) -> int:
             from turtlebag.pipeline.stages.bags import recover_bag
 
             return recover_bag(request, out)
+        case ProgramRequest():
+            from turtlebag.pipeline.stages.program import run_program
+
+            return run_program(request, out)
         case StudioRequest():
             from turtlebag.pipeline.stages.studio import replay
 
@@ -175,7 +180,7 @@ def _plan(request: PlanRequest, out: Output) -> int:
 
 def _navigate(request: NavigateRequest, out: Output) -> int:
     from turtlebag.pipeline.navigation.config import NavigateConfig
-    from turtlebag.pipeline.navigation.driver_setup import Request as Drive
+    from turtlebag.pipeline.navigation.mission import Request as Drive
     from turtlebag.pipeline.stages.navigate import navigate
     from turtlebag.sim.robots import load_robot
     from turtlebag.sim.worlds import load_world, own_files
