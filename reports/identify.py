@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from matplotlib.figure import Figure
 
-from turtlebag.datasets.se2 import Array
 from turtlebag.reports.figures import style
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 
 GROUPS = {
     "Lidar": (
-        "beams", "angle_min", "angle_increment", "range_min", "range_max", "nearest_return", "farthest_return",
-        "rate", "jitter", "sweep", "first_beam", "stamp_delay", "late_spread", "lidar_x", "lidar_y", "lidar_yaw",
-        "known_offset", "known_square", "sigma", "sigma_square", "angle_deg", "resolution", "lost", "grazing",
+        "beams", "angle_min", "angle_increment", "range_min", "range_max", "nearest_return",
+        "farthest_return", "rate", "jitter", "sweep", "first_beam", "stamp_delay", "late_spread", "lidar_x",
+        "lidar_y", "lidar_yaw", "known_offset", "known_square", "sigma", "sigma_square", "angle_deg",
+        "resolution", "lost", "grazing",
     ),
     "Wheels": (
         "wheel_scale", "turn_scale", "turn_per_m", "slip", "turn_slip", "odometry_delay", "encoder_ticks",
@@ -28,10 +28,13 @@ GROUPS = {
 MEANINGS = {
     "beams": "beams a scan", "angle_min": "angle of the first beam", "angle_increment": "angle between beams",
     "range_min": "nearest range", "range_max": "farthest range", "nearest_return": "nearest return seen",
-    "farthest_return": "farthest return seen", "rate": "scans a second", "jitter": "jitter of the period, a share",
+    "farthest_return": "farthest return seen", "rate": "scans a second",
+    "jitter": "jitter of the period, a share",
     "sweep": "time of a sweep, in periods", "first_beam": "beam that is taken first",
-    "stamp_delay": "delay of the stamp after the first beam", "late_spread": "spread of that delay, end to end",
-    "lidar_x": "lidar ahead of the base", "lidar_y": "lidar left of the base", "lidar_yaw": "yaw of the lidar",
+    "stamp_delay": "delay of the stamp after the first beam",
+    "late_spread": "spread of that delay, end to end",
+    "lidar_x": "lidar ahead of the base", "lidar_y": "lidar left of the base",
+    "lidar_yaw": "yaw of the lidar",
     "known_offset": "offset of the ranges", "known_square": "error that grows with the square of the range",
     "sigma": "noise of a range", "sigma_square": "noise that grows with the square of the range",
     "angle_deg": "noise of a beam's direction", "resolution": "step of the readings",
@@ -47,31 +50,17 @@ MEANINGS = {
 }  # fmt: skip
 
 
-class Data(Protocol):
-    """What is drawn: x and y by name, as dots and as lines."""
-
-    @property
-    def title(self) -> str: ...
-    @property
-    def caption(self) -> str: ...
-    @property
-    def x(self) -> str: ...
-    @property
-    def y(self) -> str: ...
-    @property
-    def points(self) -> Mapping[str, tuple[Array, Array]]: ...
-    @property
-    def lines(self) -> Mapping[str, tuple[Array, Array]]: ...
-
-
 def draw_plots(plots: Mapping[str, Any], album: Album) -> None:
     """A picture of each."""
     for name, plot in plots.items():
         album.add(name, plot.title, plot.caption, data_plot, plot)
 
 
-def data_plot(plot: Data) -> Figure:
-    """Dots of data, and lines of what was fitted to them, in the same colours where they have one name."""
+def data_plot(plot: Any) -> Figure:
+    """Dots of data and lines of what was fitted, in one colour where they have one name.
+
+    `plot` has `points` and `lines`, x and y (n,) by name, and the axes' labels `x` and `y`.
+    """
     figure = style.new_figure(2.9)
     axes = figure.subplots()
     names = list(dict.fromkeys([*plot.points, *plot.lines]))
@@ -96,7 +85,7 @@ def identify_page(
     pictures: Sequence[object],
     others: Mapping[str, str],
 ) -> str:
-    """The page as HTML text, of the entries of identify.json; `others` are texts for other programs by file."""
+    """The page as HTML text, of the entries of identify.json; `others` are files for other programs."""
     groups = {
         title: [
             (MEANINGS[name], name, parameters[name], _value(parameters[name]))

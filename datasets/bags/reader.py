@@ -99,8 +99,10 @@ def read_commands(path: Path) -> tuple[Stamps, Array, Array]:
 
 
 def read_drive(path: Path) -> tuple[tuple[Stamps, Array, Array] | None, Array | None]:
-    """The commands of a bag, as `read_commands` has them, and the angles (n, joints) [rad] of /joint_states in
-    their order, of the joints that the first names; None for what a bag has not."""
+    """The commands of a bag, as `read_commands` has them, and the angles (n, joints) [rad] of /joint_states.
+
+    These are of the joints that the first message names, in its order; None for what is not there.
+    """
     bag, speeds, joints = open_bag(path), [], []
 
     def wanted(topic: Topic) -> bool:

@@ -90,8 +90,11 @@ def unknown(name: str, value: float, unit: str, equation: str, why: str) -> Esti
 
 
 def jackknife(parts: Array, estimate: Callable[[Array], Array]) -> tuple[Array, Array, int]:
-    """Values (p,), their standard deviations (p,) and degrees of freedom, of what `estimate` makes of sums over
-    the parts (n, ...) of a drive: n times all but one (Tukey 1958)."""
+    """Values (p,), their standard deviations (p,) and degrees of freedom.
+
+    They are what `estimate` makes of sums over the parts (n, ...) of a drive: n times of all but one (Tukey
+    1958).
+    """
     parts = parts[parts.reshape(len(parts), -1).any(axis=1)]
     n, whole = len(parts), parts.sum(axis=0)
     values = estimate(whole)

@@ -21,11 +21,11 @@ from turtlebag.pipeline.identify.lidar import lidar_findings
 from turtlebag.pipeline.identify.motors import Commands, motor_findings
 from turtlebag.pipeline.identify.others import encoder_findings, imu_findings
 from turtlebag.pipeline.identify.robot_file import robot_of
-from turtlebag.pipeline.identify.wheels import wheel_findings
+from turtlebag.pipeline.identify.wheels import gyro_findings, wheel_findings
 from turtlebag.pipeline.slam.graph.edits import Edits
 from turtlebag.pipeline.slam.mapper import SlamConfig, solve_graph, track_recording
 from turtlebag.pipeline.slam.progress import Progress, no_progress
-from turtlebag.pipeline.slam.sensors.range_calibration import TRIANGULATES_M, range_fit
+from turtlebag.pipeline.slam.sensors.range_calibration import SHARE, TRIANGULATES_M, range_fit
 from turtlebag.pipeline.slam.sensors.setup_estimate import BETTER
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.sim.robots import RobotSpec
@@ -36,13 +36,15 @@ SETUP_EQUATION = "scans: T_lidar^-1 T_odom(scales) T_lidar, over 1.5 m or a radi
 RANGE_EQUATION = "reading = r + known_offset + known_square r^2, by walls seen from several ranges"
 TIMES_EQUATION = "turns of scans and odometry; the times of the beams at which scans match best"
 MESSAGE = "as its messages say"
+BY_TURNS = ("turn_scale", "turn_per_m", "odometry_delay", "gyro_scale", "gyro_bias")
+"""What the turns of all scans show better than those of key scans."""
 OF_OTHERS = tuple(f"_{number}" for number in range(2, 9))
 """Ends of the names of further lidars' numbers."""
 
 
 @dataclass(frozen=True)
 class Streams:
-    """What a bag has besides what is mapped: commands, and joint angles (n, wheels) [rad]; None: not there."""
+    """What a bag has besides what is mapped: commands, joint angles (n, wheels) [rad]; None: not there."""
 
     commands: Commands | None = None
     joints: Array | None = None
@@ -124,7 +126,7 @@ def identified(
     base: RobotSpec,
     streams: Streams = Streams(),
 ) -> Identification:
-    """As `identify`, by the session of the recording's map. Of several lidars, the first one is identified."""
+    """As `identify`, by the session of the recording's map. Of several lidars, the first is identified."""
     rows, own = recording.parts()[0]
     poses = session.carried().T_track_base[rows]
     parts = [
@@ -135,11 +137,13 @@ def identified(
         wheel_findings(own, poses, base.wheels),
         encoder_findings(streams.joints, base.wheels.encoder_ticks),
         motor_findings(recording, streams.commands, base.limits),
+        gyro_findings(recording, session.carried().T_track_base, base.imu.gyro_bias),
         imu_findings(recording, base.imu),
     ]
     estimates = [one for part in parts for one in part.estimates]
     plots = {name: plot for part in parts for name, plot in part.plots.items()}
-    return Identification(recording, session, base, tuple(_with_stamps(estimates, base)), plots)
+    estimates = _by_the_ruler(_with_stamps(estimates, base), session, base)
+    return Identification(recording, session, base, tuple(estimates), plots)
 
 
 def _setup(recording: Recording, session: Session, base: RobotSpec) -> Findings:
@@ -154,13 +158,12 @@ def _setup(recording: Recording, session: Session, base: RobotSpec) -> Findings:
         "gyro": f"it turned by only {turn:.1f} rad", "sweep": "it never turned while the scans matched",
         "first": "not shown by how the scans match",
     }  # fmt: skip
-    found, scale = Findings(), base.lidar.errors.scale
+    found = Findings()
     for one in session.setup.quantities:
-        if one.name == "odometry_delay" or one.name[-2:] in OF_OTHERS:
+        if one.name in BY_TURNS or one.name[-2:] in OF_OTHERS:
             continue
         equation = TIMES_EQUATION if one.name in ("sweep", "first_beam") else SETUP_EQUATION
-        # the lidar's ranges are the only ruler
-        sigma = float(np.hypot(one.sigma, scale)) if one.name == "wheel_scale" else one.sigma
+        sigma = one.sigma
         why = "" if one.observable else whys[one.name.split("_")[0]]
         if one.name == "sweep" and recording.lidar.time_increment == 0.0 and one.value == 0.0:
             why = why or "all beams have one time"
@@ -172,16 +175,14 @@ def _setup(recording: Recording, session: Session, base: RobotSpec) -> Findings:
         )
     known = {one.name for one in found.estimates}
     pose = recording.T_base_lidar.xyt.tolist()
-    assumed = [("wheel_scale", 1.0, "1"), ("turn_scale", 1.0, "1"), ("turn_per_m", 0.0, "rad/m")]
+    assumed = [("wheel_scale", 1.0, "1")]
     assumed += [
         (f"lidar_{n}", v, u) for n, v, u in zip(("x", "y", "yaw"), pose, ("m", "m", "rad"), strict=True)
     ]
     assumed += [("sweep", base.lidar.sweep, "periods"), ("first_beam", 0.0, "1")]
-    gyro_why = "no IMU" if recording.imu is None else "the gyro does not cover the turns"
-    assumed += [("gyro_scale", 1.0, "1"), ("gyro_bias", base.imu.gyro_bias, "rad/s")]
     for name, value, unit in assumed:
         if name not in known:
-            why = gyro_why if name.startswith("gyro") else "no two scans match over a baseline of driving"
+            why = "no two scans match over a baseline of driving"
             found.estimates.append(unknown(name, value, unit, SETUP_EQUATION, why))
     return found
 
@@ -243,3 +244,26 @@ def _with_stamps(estimates: list[Estimate], base: RobotSpec) -> list[Estimate]:
         else replace(late, name="stamp_delay", value=-late.value, equation=equation)
     )
     return [*estimates, stamp]
+
+
+def _by_the_ruler(estimates: list[Estimate], session: Session, base: RobotSpec) -> list[Estimate]:
+    """The estimates with what errors of the ranges, the only ruler, do to the scale of the ways.
+
+    Ways are measured by how ranges change: an error that grows with their square stretches them by twice
+    itself at the usual range. What of it the map was not corrected by is taken out; what is unknown counts.
+    """
+    square = next(one for one in estimates if one.name == "known_square")
+    keys = session.track.keys
+    seen = session.recording.ranges[keys]
+    usual = float(np.median(seen[session.recording.lidar.returns(seen)])) if len(keys) else 0.0
+    left = 2.0 * usual * (square.value - session.ranges.square_per_m) if square.observable else 0.0
+    unsure = 2.0 * usual * square.sigma if square.observable else 0.0
+    if not square.observable and session.recording.lidar.range_max <= TRIANGULATES_M:
+        unsure = 2.0 * usual * SHARE / session.recording.lidar.range_max
+    error = float(np.hypot(unsure, base.lidar.errors.scale))
+    return [
+        replace(one, value=one.value / (1.0 + left), sigma=float(np.hypot(one.sigma, error)))
+        if one.name == "wheel_scale" and one.observable
+        else one
+        for one in estimates
+    ]

@@ -1,7 +1,7 @@
 """The lidar's own errors, by what neighbouring beams and successive turns of it say of each other.
 
-In polar coordinates a wall's u = 1 / r is a cosine of the bearing, so of beams on one wall two tell what a third
-should be, wherever the robot is: how far it is off is noise, and that it is not there is a lost beam.
+In polar coordinates a wall's u = 1 / r is a cosine of the bearing, so of beams on one wall two tell what a
+third should be, wherever the robot is: how far it is off is noise, and that it is not there is a lost beam.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from turtlebag.pipeline.identify.estimates import PARTS, Estimate, Findings, Plo
 from turtlebag.pipeline.identify.random_walk import RandomWalk
 from turtlebag.sim.robots import LidarErrors
 
-# Times between stamps that vary by less [s] are exact; a variance shows if its logarithm is known to within this.
+# Times between stamps that vary by less [s] are exact; a variance shows if its logarithm is known to within
+# this.
 EXACT_S, KNOWN = 1e-5, 1.0
 # Scans that are looked at; beams that count for a bin; the least share by which bins of ranges differ.
 SCANS, ENOUGH, FACTOR = 1500, 60, 1.25
@@ -29,6 +30,8 @@ SCANS, ENOUGH, FACTOR = 1500, 60, 1.25
 ON_ONE_WALL = 3.0
 # Walls are met across at cosines of more than this; directions of beams may be off by this [rad].
 ACROSS, ASIDE_RAD = 0.7, 0.002
+# Not all that looks like a wall is one: by so large a share each number may be wrong for it.
+MODEL, LOST_MODEL = np.array([0.01, 0.015, 0.03]), np.array([0.02, 0.03])
 # Steps of the readings that are looked for [m].
 STEPS_M = (0.05, 0.04, 0.025, 0.02, 0.01, 0.005, 0.004, 0.0025, 0.002, 0.001, 0.0005, 0.00025)
 NOISE_EQUATION = "var(r) = sigma^2 + (sigma_square r^2)^2 + (angle r tan(i))^2 + resolution^2 / 12"
@@ -37,9 +40,9 @@ STAMPS_EQUATION = "d_k = P (1 + jitter) + late_k+1 - late_k; cov(d_k, d_k+1) = -
 
 
 class Walls(NamedTuple):
-    """Beams (m,) on straight walls, as their neighbours say: number of the scan, expected range [m], cosine of
-    the incidence, and the reading [m], NaN where it is lost. `off` is a second difference of three neighbours
-    in ranges [m], whose standard deviation is that of a reading; NaN where a reading is missing."""
+    """Beams (m,) on straight walls, as their neighbours say: number of the scan, expected range [m], cosine
+    of the incidence, and whether it is lost. `off` is a second difference of three neighbours in ranges [m],
+    whose standard deviation is that of a reading; NaN where a reading is missing."""
 
     scan: NDArray[np.int64]
     expected: Array
@@ -144,7 +147,7 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
     for column, k in enumerate(kinds):
         own = kind == k
         square = off[own] ** 2
-        # readings that are far off are no noise of beams: cut at 3 sigma, which a Gaussian's variance survives
+        # readings that are far off are no noise of beams: cut at 3 sigma
         cut = (3.0 * PER_MEDIAN) ** 2 * np.median(square)
         kept = square < cut
         rows = part[own][kept]
@@ -162,6 +165,7 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
 
     sums = np.stack([variances, counts], axis=1)
     values, sigmas, freedom = jackknife(sums, fitted)
+    sigmas = np.hypot(sigmas, MODEL * values)
     whole = sums.sum(axis=0)
     far = float(np.quantile(r, 0.99))
     for (name, unit), value, sigma in zip(names.items(), values.tolist(), sigmas.tolist(), strict=True):
@@ -188,7 +192,7 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
     label = ("across", "slanting", "more slanting", "grazing")
     found.plots["noise"] = Plot(
         "Noise of the ranges",
-        "Standard deviation of a beam from what its neighbours on the same wall say; lines: the fitted equation.",
+        "Standard deviation of a beam from what its neighbours on one wall say; lines: the fit.",
         "range [m]", "standard deviation [mm]",
         {label[s]: (x[slant == s], seen[slant == s]) for s in range(4) if (slant == s).any()},
         {label[s]: (x[slant == s], model[slant == s]) for s in range(4) if (slant == s).any()},
@@ -229,6 +233,7 @@ def _lost(walls: Walls, part: NDArray[np.int64], base: LidarErrors, found: Findi
     whole, gone = seen.sum(axis=0), lost.sum(axis=0)
     # what the counts alone leave open, where no part lost a beam
     sigmas = np.maximum(sigmas, [np.sqrt(max(gone.sum(), 1.0)) / whole.sum(), 0.0])
+    sigmas = np.hypot(sigmas, LOST_MODEL * values)
     found.estimates.append(
         Estimate("lost", float(values[0]), float(sigmas[0]), "1", LOST_EQUATION, "", freedom, True, "lost")
     )
@@ -244,7 +249,7 @@ def _lost(walls: Walls, part: NDArray[np.int64], base: LidarErrors, found: Findi
     angle = np.rad2deg(np.arccos(np.clip(centre, 0.0, 1.0)))
     model = 1.0 - (1.0 - values[0]) * (1.0 - np.exp(-np.maximum(centre, 1e-3) / values[1]))
     found.plots["lost"] = Plot(
-        "Lost beams by incidence", "Share of beams without a return between returns of one wall; line: the fit.",
+        "Lost beams by incidence", "Share of missing beams between returns of one wall; line: the fit.",
         "angle to the surface's normal [deg]", "lost [%]",
         {"lost": (angle[ok], 100.0 * gone[ok] / whole[ok])}, {"fit": (angle[ok], 100.0 * model[ok])},
     )  # fmt: skip
@@ -299,7 +304,8 @@ def _periods(gaps: Array, period: float) -> list[Estimate]:
             *(Estimate(n, 0.0, 0.0, u, STAMPS_EQUATION) for n, u in (("jitter", "1"), ("late_spread", "s"))),
         ]
     ones = np.ones((len(gaps), 1))
-    walk = RandomWalk((gaps - period) / period, ones, ones)
+    good = np.ones(len(gaps), bool)
+    walk = RandomWalk((gaps - period) / period, ones, ones, np.ones((len(gaps) + 1, 1)), good)
     (off,), covariance = walk.coefficients()
     rate = 1.0 / (period * (1.0 + float(off)))
     found = [
@@ -321,7 +327,15 @@ def _periods(gaps: Array, period: float) -> list[Estimate]:
     ):
         found.append(
             Estimate(
-                name, value, 0.5 * float(of_log) * value, unit, STAMPS_EQUATION, "", np.inf, True, "stamps"
+                name,
+                value,
+                0.5 * float(np.hypot(of_log, 0.2)) * value,
+                unit,
+                STAMPS_EQUATION,
+                "",
+                np.inf,
+                True,
+                "stamps",
             )
             if of_log < KNOWN
             else unknown(name, 0.0, unit, STAMPS_EQUATION, "less than shows beside the stamps' other error")

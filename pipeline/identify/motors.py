@@ -39,7 +39,7 @@ def motor_findings(recording: Recording, commands: Commands | None, limits: Limi
     rows = (np.arange(len(dt)) * PARTS) // len(dt)
     parts = [np.stack([one[rows == k].sum(axis=0) for k in range(PARTS)]) for one in costs]
     changes = [_changes(told) for told in commands[1:]]
-    _delay(parts, changes, limits, found)
+    _delay(parts, changes, float(np.median(dt)), limits, found)
     best = int(np.argmin(sum(part.sum(axis=0).min(axis=1) for part in parts)))
     for (name, unit, usual), part, (after, _), often in zip(kinds, parts, wanted, changes, strict=True):
         _acceleration(name, unit, usual, part[:, best], after, often, found)
@@ -98,7 +98,7 @@ def _changes(told: Array) -> int:
     return int(np.count_nonzero(np.abs(np.diff(told)) > CHANGE * most)) if most > 0.0 else 0
 
 
-def _delay(parts: list[Array], changes: list[int], limits: Limits, found: Findings) -> None:
+def _delay(parts: list[Array], changes: list[int], every_s: float, limits: Limits, found: Findings) -> None:
     if max(changes) < ENOUGH:
         found.estimates.append(
             unknown("command_delay", limits.command_delay, "s", EQUATION, "the commands hardly change")
@@ -106,8 +106,9 @@ def _delay(parts: list[Array], changes: list[int], limits: Limits, found: Findin
         return
     both = parts[0].min(axis=2) + parts[1].min(axis=2)
     values, sigmas, freedom = jackknife(both, lambda cost: np.array([_middle(cost)[0]]))
-    width = _middle(both.sum(axis=0))[1]
-    sigma = float(np.hypot(sigmas[0], 0.5 * width / 1.96))
+    # between two commands or two readings of the speed, any delay is as good
+    width = max(_middle(both.sum(axis=0))[1], every_s)
+    sigma = float(np.hypot(sigmas[0], 0.6 * width / 1.96))
     found.estimates.append(
         Estimate("command_delay", float(values[0]), sigma, "s", EQUATION, "", freedom, figure="command")
     )

@@ -14,6 +14,8 @@ from turtlebag.sim.robots import ImuMount
 NOISE_EQUATION = "sigma = |w(k-1) - 2 w(k) + w(k+1)| by the median, over sqrt(6)"
 STILL_EQUATION = "mean of the readings while the odometry stands still"
 ENOUGH = 200
+# Share by which motion may raise the noise.
+MOTION = 0.01
 
 
 def imu_findings(recording: Recording, base: ImuMount) -> Findings:
@@ -47,16 +49,17 @@ def imu_findings(recording: Recording, base: ImuMount) -> Findings:
 def _noise(name: str, unit: str, usual: float, values: Array) -> Estimate:
     """By second differences, which slow motion does not show in, of each axis in each part of the log."""
     e = (values[:-2] - 2.0 * values[1:-1] + values[2:]) / np.sqrt(6.0)
-    of_parts = np.array([
-        [float(sigma_by_median(axis)) for axis in part.T] for part in np.array_split(e, PARTS) if len(part)
-    ])  # fmt: skip
-    quiet = np.median(of_parts, axis=0)
-    alive = quiet > 0.0
+    parts = [part for part in np.array_split(e, 4 * PARTS) if len(part) > 10]
+    of_parts = np.array([[float(sigma_by_median(axis)) for axis in part.T] for part in parts])
+    alive = np.median(of_parts, axis=0) > 0.0
     if not alive.any():
         return unknown(name, usual, unit, NOISE_EQUATION, "its readings do not vary")
-    mean = np.sqrt((of_parts[:, alive] ** 2).mean(axis=1))
-    sigma = float(mean.std(ddof=1) / np.sqrt(len(mean)))
-    return Estimate(name, float(mean.mean()), sigma, unit, NOISE_EQUATION, "", len(mean) - 1, True, "imu")
+    # parts in which it starts, stops and turns have more of it: the usual one has not
+    each = np.sqrt((of_parts[:, alive] ** 2).mean(axis=1))
+    value = float(np.median(each))
+    sigma = 1.25 * float(sigma_by_median(each - value)) / np.sqrt(len(each))
+    sigma = float(np.hypot(sigma, MOTION * value))
+    return Estimate(name, value, sigma, unit, NOISE_EQUATION, "", len(each) - 1, True, "imu")
 
 
 def _bias(recording: Recording, imu: ImuLog, base: ImuMount) -> Estimate:

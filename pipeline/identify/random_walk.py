@@ -1,41 +1,47 @@
-"""Differences of something that wanders, seen through noise: how much of each there is, by restricted likelihood."""
+"""Differences of something that wanders, seen through noise: how much there is of each, by likelihood."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from turtlebag.datasets.robust import sigma_by_median
 from turtlebag.datasets.se2 import Array
 
 # Evaluations of the likelihood; steps of the logarithms by which its curvature is taken.
-ROUNDS, STEP = 300, 0.1
+ROUNDS, STEP = 120, 0.1
 
 
 class RandomWalk:
     """Differences y (n,) of successive readings of a random walk, less what a design (n, p) explains.
 
-    Each reading has white noise, so successive differences share it: with the walk's variance, `sources` (n, s)
-    times a variance each, the covariance has two bands. `logs` (s + 1,) are the logarithms of these variances, and
-    last that of the white noise.
+    Each reading has white noise, so successive differences share it: a covariance with two bands. The walk
+    is the sum of `sources` (n, s), and the noise of `readings` (n + 1, r), times a variance each, of which
+    `logs` (s + r,) are the logarithms. Differences that are not `good` (n,) say nothing.
     """
 
-    def __init__(self, y: Array, design: Array, sources: Array) -> None:
-        self.y, self.design, self.sources = y, design, sources
-        rest = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
-        scale = max(float(sigma_by_median(rest)), 1e-6) ** 2
-        self._least = 1e-6 * scale
-        start = np.log(np.append(0.3 * scale / np.maximum(sources.mean(axis=0), 1e-3), 0.3 * scale))
+    def __init__(
+        self, y: Array, design: Array, sources: Array, readings: Array, good: NDArray[np.bool_]
+    ) -> None:
+        self.y, self.design, self.sources, self.readings = y, design, sources, readings
+        rest = y - design @ np.linalg.lstsq(design[good], y[good], rcond=None)[0]
+        scale = max(float(sigma_by_median(rest[good])), 1e-6) ** 2
+        self._least = np.where(good, 1e-6 * scale, 1e6 * scale + y**2)
+        means = np.concatenate([sources.mean(axis=0), readings.mean(axis=0)])
+        start = np.log(0.3 * scale / np.maximum(means, 1e-3))
+        options = {"maxiter": ROUNDS * len(start)}
         self.logs = np.asarray(
-            scipy.optimize.minimize(self._cost, start, method="Nelder-Mead", options={"maxiter": ROUNDS}).x
+            scipy.optimize.minimize(self._cost, start, method="Nelder-Mead", options=options).x
         )
 
     def _products(self, logs: Array) -> tuple[Array, float]:
         """[X y]' C^-1 [X y], (p + 1, p + 1), and the logarithm of the covariance's determinant."""
         variances = np.exp(np.clip(logs, -60.0, 10.0))
-        bands = np.zeros((2, len(self.y)))
-        bands[1] = self.sources @ variances[:-1] + 2.0 * variances[-1] + self._least
-        bands[0, 1:] = -variances[-1]
+        s = self.sources.shape[1]
+        bands, noise = np.zeros((2, len(self.y))), self.readings @ variances[s:]
+        bands[1] = self.sources @ variances[:s] + noise[:-1] + noise[1:] + self._least
+        bands[0, 1:] = -noise[1:-1]
         factor = scipy.linalg.cholesky_banded(bands)
         both = np.column_stack([self.design, self.y])
         return both.T @ scipy.linalg.cho_solve_banded((factor, False), both), 2.0 * float(
@@ -58,7 +64,7 @@ class RandomWalk:
         return covariance @ products[:p, p], covariance
 
     def deviations(self) -> Array:
-        """Standard deviations of the logarithms, (s + 1,), by the curvature of the likelihood."""
+        """Standard deviations of the logarithms, (s + r,), by the curvature of the likelihood."""
         n = len(self.logs)
         ends = STEP * np.eye(n)
         curvature = np.array([[

@@ -16,13 +16,13 @@ from turtlebag.sim.robots import CONTROL_HZ, RobotSpec
 UPDATE_M, UPDATE_RAD = 0.25, 0.2
 # No alpha below this: a filter whose particles do not spread cannot recover.
 LEAST_ALPHA = 1e-3
-# A beam farther than the range at which so much is lost [share] is noise.
+# Limits of the simulator.
 LONGEST_DELAY_S, MOST_JITTER, MOST_SLIP, MOST_TURN_SLIP = 0.1, 0.05, 0.1, 0.5
 
 
 def robot_of(values: Mapping[str, float], recording: Recording, base: RobotSpec) -> RobotSpec:
-    """The robot with such parameters; what is not among them is the base robot's. Where the simulator has limits,
-    they hold."""
+    """The robot with such parameters; what is not among them is the base robot's. Where the simulator has
+    limits, they hold."""
     wheels = base.wheels
     scale, turn_scale = values["wheel_scale"], values["turn_scale"]
     own_wheels = {
@@ -104,7 +104,8 @@ def _within(value: float, most: float) -> float:
 def amcl_alphas(values: Mapping[str, float], base: RobotSpec) -> dict[str, float]:
     """Nav2's noise of the motion model: variance over that of an update's motion, random and systematic.
 
-    alpha1 is that of turns by turns, alpha2 of turns by ways, alpha3 of ways by ways, alpha4 of ways by turns.
+    alpha1 is that of turns by turns, alpha2 of turns by ways, alpha3 of ways by ways, alpha4
+    of ways by turns.
     """
     track = 2.0 * base.wheels.joint_y
     of_way, of_turn = 2.0 * (values["slip"] / track) ** 2, values["turn_slip"] ** 2

@@ -13,57 +13,124 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Recording, Stamps
 from turtlebag.pipeline.identify.estimates import Estimate, Findings, Plot, unknown
 from turtlebag.pipeline.identify.random_walk import RandomWalk
+from turtlebag.pipeline.slam.sensors.gyro_slip import GyroTurns
 from turtlebag.sim.robots import Wheels
 
 SLIP_EQUATION = "var(turn) = (slip / track)^2 (|left| + |right|) + turn_slip^2 |turn|, each way in metres"
-DELAY_EQUATION = "turn(map) = turn_scale turn(odom) + turn_per_m way + delay (rate at end - rate at start)"
-# Steps of the map that are compared are at least this far apart [s]; residuals of more than this many deviations
-# are wheels that spin, which is another error; no more than this is random.
-APART_S, SPUN = 0.4, 6.0
+GYRO_EQUATION = "turn(map) = gyro_scale (turn(gyro) - gyro_bias time)"
+TURN_EQUATION = (
+    "turn(map) = turn_scale turn(odom) + turn_per_m way + odometry_delay (rate at end - rate at start)"
+)
+# Steps of the map that are compared are this far apart [s]; residuals of more than so many deviations are
+# wheels that spin, which is another error.
+APART_S, SPUN = 0.4, 8.0
 # Half of the time over which the turning rate is taken [s].
 AROUND_S = 0.05
+# A scan is bent by a change of the rate from this long before it to this long after [s].
+BENT_S = 0.15
 # A drive shows a variance if the logarithm of it is known to within this.
 KNOWN = 1.0
+# Errors of a map are neither white nor a walk: what that may do to the logarithms of both variances, and
+# to the delay [s].
+MODEL, DELAY_MODEL_S = np.array([0.15, 0.6]), 0.0015
 
 
 def wheel_findings(recording: Recording, T_map_base: SE2, wheels: Wheels) -> Findings:
-    """Slip of the wheels [m, rad after a metre, a radian] and delay of the odometry [s], by the poses of all scans
-    (n,) on the map and the odometry as it was recorded."""
+    """Scale and bias of the turns, slip of the wheels, and delay of the odometry.
+
+    They are shown by the poses of all scans (n,) on the map and the odometry as it was recorded.
+
+    The turns of the odometry are explained by those of the map, not the other way round: who steers keeps the
+    true heading, so slip shows in the odometry's.
+    """
     assert recording.T_odom_base is not None
     rows, found = _apart(recording.stamps_ns), Findings()
     map_steps, steps = T_map_base[rows].steps(), recording.T_odom_base[rows].steps()
-    waits = seconds(np.diff(recording.stamps_ns[rows]))
     rate = _rates(recording, recording.stamps_ns[rows])
-    y = wrap(map_steps[:, 2] - steps[:, 2])
-    design = np.column_stack([steps[:, 2], steps[:, 0], np.diff(rate)])
+    y = wrap(steps[:, 2] - map_steps[:, 2])
+    design = np.column_stack([map_steps[:, 2], steps[:, 0], np.diff(rate)])
     track = 2.0 * wheels.joint_y
-    ways = np.abs(steps[:, 0] - 0.5 * track * steps[:, 2]) + np.abs(steps[:, 0] + 0.5 * track * steps[:, 2])
-    turns = np.abs(steps[:, 2])
-    ok = without_gap(waits)
+    swing = 0.5 * track * map_steps[:, 2]
+    ways, turns = np.abs(steps[:, 0] - swing) + np.abs(steps[:, 0] + swing), np.abs(map_steps[:, 2])
+    ok = without_gap(seconds(np.diff(recording.stamps_ns[rows])))
     if np.count_nonzero(ok) > 20:
         left = y - design @ np.linalg.lstsq(design[ok], y[ok], rcond=None)[0]
         ok &= np.abs(left) < SPUN * max(float(sigma_by_median(left[ok])), 1e-4)
     if np.count_nonzero(ok) < 40:
         _nothing(wheels, found, "too short a drive")
         return found
-    walk = RandomWalk(y[ok], design[ok], np.column_stack([ways, turns])[ok])
+    walk = RandomWalk(y, design, np.column_stack([ways, turns]), _readings(recording, rows, rate), ok)
     _slips(walk, track, wheels, found)
-    coefficient, covariance = walk.coefficients()
-    late, sigma = float(coefficient[2]), float(np.sqrt(covariance[2, 2]))
-    changes = float(np.abs(design[ok, 2]).sum())
-    found.estimates.append(
-        Estimate("odometry_delay", late, sigma, "s", DELAY_EQUATION, "", figure="delay")
-        if sigma < 0.02
-        else unknown(
-            "odometry_delay", 0.0, "s", DELAY_EQUATION, f"it changed its turning by only {changes:.1f} rad/s"
-        )
-    )
-    _plots(walk, late, found)
+    _systematic(walk, found)
+    _plots(walk, found)
     return found
 
 
+def _readings(recording: Recording, rows: Array, rate: Array) -> Array:
+    """What the noise of the map's headings (n,) grows with, (n, 3): a scan that is stamped late by chance has
+    turned by as much, and one in which the rate changes is bent."""
+    stamps = recording.stamps_ns[rows]
+    later, earlier = (_rates(recording, stamps + nanoseconds(s)) for s in (BENT_S, -BENT_S))
+    return np.column_stack([np.ones(len(rate)), rate**2, (later - earlier) ** 2])
+
+
+def gyro_findings(recording: Recording, T_map_base: SE2, bias: float) -> Findings:
+    """Scale and bias [rad/s] of the gyro by the poses of all scans (n,); `bias` is assumed if unknown."""
+    names = (("gyro_scale", "1", 1.0, 0.025), ("gyro_bias", "rad/s", bias, 0.01))
+    if recording.imu is None:
+        return Findings(
+            [unknown(name, usual, unit, GYRO_EQUATION, "no IMU") for name, unit, usual, _ in names]
+        )
+    rows = _apart(recording.stamps_ns)
+    stamps, turns = recording.stamps_ns[rows], T_map_base[rows].steps()[:, 2]
+    by_gyro, known = GyroTurns(recording.imu).turns(stamps)
+    waits, rate = seconds(np.diff(stamps)), _rates(recording, stamps)
+    ok = known & without_gap(waits)
+    if np.count_nonzero(ok) < 40:
+        why = "the gyro does not cover the drive"
+        return Findings([unknown(name, usual, unit, GYRO_EQUATION, why) for name, unit, usual, _ in names])
+    # one that is mounted upside down turns the other way
+    sign = 1.0 if by_gyro[ok] @ turns[ok] >= 0.0 else -1.0
+    design = np.column_stack([turns, waits, np.diff(rate)])
+    y, readings = wrap(sign * by_gyro - turns), _readings(recording, rows, rate)
+    walk = RandomWalk(y, design, np.column_stack([waits, np.abs(turns)]), readings, ok)
+    (turned, drifted, _), covariance = walk.coefficients()
+    scale, sigmas = 1.0 / (1.0 + float(turned)), np.sqrt(np.diag(covariance)).tolist()
+    values = (scale, scale**2 * sigmas[0]), (sign * float(drifted), sigmas[1])
+    turn = float(np.abs(turns).sum())
+    return Findings([
+        Estimate(name, value, sigma, unit, GYRO_EQUATION)
+        if sigma < most
+        else unknown(name, usual, unit, GYRO_EQUATION, f"it turned by only {turn:.1f} rad")
+        for (name, unit, usual, most), (value, sigma) in zip(names, values, strict=True)
+    ])  # fmt: skip
+
+
+def _systematic(walk: RandomWalk, found: Findings) -> None:
+    """What the turns of the odometry are off by throughout."""
+    (turned, drove, late), covariance = walk.coefficients()
+    sigmas = np.sqrt(np.diag(covariance)).tolist()
+    way, turn = walk.sources.sum(axis=0) * [0.5, 1.0]
+    changes = float(np.abs(walk.design[:, 2]).sum())
+    sigmas[2] = float(np.hypot(sigmas[2], DELAY_MODEL_S))
+    scale = 1.0 / (1.0 + float(turned))
+    for name, unit, value, sigma, most, usual, why in (
+        ("turn_scale", "1", scale, scale**2 * sigmas[0], 0.025, 1.0, f"it turned by only {turn:.1f} rad"),
+        ("turn_per_m", "rad/m", -scale * float(drove), scale * sigmas[1], 0.025, 0.0,
+         f"it drove only {way:.1f} m"),
+        ("odometry_delay", "s", -float(late), sigmas[2], 0.02, 0.0,
+         f"its turning changed by only {changes:.1f} rad/s"),
+    ):  # fmt: skip
+        shown = sigma < most
+        found.estimates.append(
+            Estimate(name, value, sigma, unit, TURN_EQUATION, figure="delay")
+            if shown
+            else unknown(name, usual, unit, TURN_EQUATION, why)
+        )
+
+
 def _slips(walk: RandomWalk, track: float, wheels: Wheels, found: Findings) -> None:
-    logs, sure = walk.logs, walk.deviations()
+    logs, sure = walk.logs, np.hypot(walk.deviations()[:2], MODEL)
     values = math.exp(0.5 * logs[0]) * track, math.exp(0.5 * logs[1])
     way, turn = float(walk.sources[:, 0].sum()) / 2.0, float(walk.sources[:, 1].sum())
     whys = (
@@ -71,7 +138,7 @@ def _slips(walk: RandomWalk, track: float, wheels: Wheels, found: Findings) -> N
         f"in {turn:.1f} rad of turning, it shows less than other errors do",
     )
     for name, unit, value, of_log, why in zip(
-        ("slip", "turn_slip"), ("m", "rad"), values, sure[:2], whys, strict=True
+        ("slip", "turn_slip"), ("m", "rad"), values, sure, whys, strict=True
     ):
         usual = getattr(wheels, name)
         found.estimates.append(
@@ -91,7 +158,12 @@ def _nothing(wheels: Wheels, found: Findings, why: str) -> None:
         found.estimates.append(
             unknown(name, ASSUMED[name] if usual is None else usual, unit, SLIP_EQUATION, why)
         )
-    found.estimates.append(unknown("odometry_delay", 0.0, "s", DELAY_EQUATION, why))
+    for name, unit, usual in (
+        ("turn_scale", "1", 1.0),
+        ("turn_per_m", "rad/m", 0.0),
+        ("odometry_delay", "s", 0.0),
+    ):
+        found.estimates.append(unknown(name, usual, unit, TURN_EQUATION, why))
 
 
 def _apart(stamps_ns: Stamps) -> Array:
@@ -114,19 +186,20 @@ def _rates(recording: Recording, stamps_ns: Stamps) -> Array:
     return np.asarray((ends[0] - ends[1]) / (2.0 * around))
 
 
-def _plots(walk: RandomWalk, late: float, found: Findings) -> None:
-    left = walk.y - walk.design @ walk.coefficients()[0]
-    way = np.cumsum(walk.sources[:, 0]) / 2.0
+def _plots(walk: RandomWalk, found: Findings) -> None:
+    coefficients, _ = walk.coefficients()
+    left, change = walk.y - walk.design @ coefficients, walk.design[:, 2]
     found.plots["slip"] = Plot(
-        "How the odometry's heading wanders", "Turn of the map less that of the calibrated odometry, summed over the drive.",
-        "way [m]", "heading [deg]", {}, {"odometry": (way, np.rad2deg(np.cumsum(left)))},
+        "How the odometry's heading wanders", "Turn of the corrected odometry less that of the map, summed.",
+        "way [m]", "heading [deg]",
+        {}, {"odometry": (0.5 * np.cumsum(walk.sources[:, 0]), np.rad2deg(np.cumsum(left)))},
     )  # fmt: skip
-    rest = left + walk.design[:, 2] * late
+    late = float(coefficients[2])
+    order = np.sort(change)
     found.plots["delay"] = Plot(
-        "Delay of the odometry", "Turns that differ, by how much the turning changed; the slope is the delay.",
+        "Delay of the odometry", "Turns that differ, by how much the rate changed; the slope is the delay.",
         "change of the turning rate [rad/s]", "turn that differs [mrad]",
-        {"steps": (walk.design[:, 2], 1e3 * rest)},
-        {"fit": (np.sort(walk.design[:, 2]), 1e3 * late * np.sort(walk.design[:, 2]))},
+        {"steps": (change, -1e3 * (left + late * change))}, {"fit": (order, -1e3 * late * order)},
     )  # fmt: skip
 
 

@@ -46,9 +46,8 @@ def identify_robot(
             extra={"robot": base.name, "parts": parts},
         )  # fmt: skip
     shown = sum(one.observable for one in found.estimates)
-    log.info(
-        f"{shown} of {len(found.estimates)} parameters in {watch.seconds():.1f} s -> {out.folder / 'robot.yaml'}"
-    )
+    of = f"{shown} of {len(found.estimates)} parameters"
+    log.info(f"{of} in {watch.seconds():.1f} s -> {out.folder / 'robot.yaml'}")
     return 0
 
 
