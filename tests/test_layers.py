@@ -18,6 +18,7 @@ MAY_IMPORT = {
     "pipeline/slam": ["datasets"],
     "pipeline/slam3d": ["datasets", "pipeline/slam"],
     "pipeline/localisation": ["datasets"],
+    "pipeline/identify": ["datasets", "sim", "pipeline/slam"],
     "pipeline/terminal": ["datasets", "sim"],
     "pipeline/navigation": [*BELOW, "pipeline/slam", "pipeline/localisation", "pipeline/terminal"],
 }

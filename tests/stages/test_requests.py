@@ -16,6 +16,7 @@ NEEDED = {
     "teleop": ["--world", "empty"],
     "map": ["rec"],
     "localise": ["rec", "--map", "m.yaml"],
+    "identify": ["rec"],
     "plan": ["--map", "m.yaml", "--start=-2,0,0", "--goal", "1,1,0"],
     "report": ["rec", "map"],
     "compare": ["a", "b"],
