@@ -35,7 +35,7 @@ DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/tur
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup doctor demo demo-world demo-house pictures studio studio-pictures record map navigate report verify dist docs lint test browser clean \
+.PHONY: help setup doctor demo demo-world demo-house pictures studio studio-pictures notebooks record map navigate report verify dist docs lint test browser clean \
   bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
@@ -117,6 +117,9 @@ pictures: demo ## the animations of the README and the figure of docs/how-it-map
 
 studio-pictures: $(READY) ## the pictures of the studio in README and docs, taken with the browser
 	$(PY) .ci/site/studio_pictures.py docs/images
+
+notebooks: $(READY) ## run the notebooks and keep what they show   (needs `.venv/bin/pip install -e '.[notebooks]'`)
+	$(PY) .ci/site/notebooks.py docs/notebooks
 
 bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
 results: $(READY) ## the tables of docs/results.md, each row over at least ten seeds (TURTLEBAG_DATA=folder of the public logs)

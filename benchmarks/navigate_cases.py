@@ -18,7 +18,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver_setup import Request
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, CostmapConfig, costmap_from_grid

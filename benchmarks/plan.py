@@ -33,9 +33,9 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_free, path_clearance, sample_footprint
-from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, plan_path
+from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, plan_path
 from turtlebag.planners.ompl_planner import OmplConfig, PlannerName
-from turtlebag.planners.planner import NoPath, Plan
+from turtlebag.planners.planner import NoPath, Plan, PlanConfig
 from turtlebag.planners.smoothing import densify
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.worlds import load_world

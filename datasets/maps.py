@@ -31,7 +31,7 @@ from turtlebag.datasets.grid import (
     UNKNOWN,
     OccupancyGrid,
 )
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import load_model
 
 # Trinary pixels of map_saver. 205 reads back as (255 - 205) / 255 = 0.19608, which is "unknown" only
@@ -98,12 +98,11 @@ def save_map(grid: OccupancyGrid, folder: Path, name: str = "map") -> Path:
     return path
 
 
-def save_confidence(confidence: Array, path: Path) -> None:
-    """Write the probability of each cell (rows, cols) that it is as the map says: a pgm of the map's size,
-    black for 0 to white for 1."""
+def save_confidence(confidence: NDArray[np.uint8], path: Path) -> None:
+    """Write the probability of each cell (rows, cols), in 255ths, that it is as the map says: a pgm of the
+    map's size, black for 0 to white for 1."""
     rows, cols = confidence.shape
-    pixels = np.rint(255.0 * confidence).astype(np.uint8)
-    path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + pixels[::-1].tobytes())
+    path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + confidence[::-1].tobytes())
 
 
 def load_map(path: Path) -> OccupancyGrid:

@@ -3,6 +3,9 @@
 The open3d-cpu wheel links `libusb-1.0.so.0`, which a fresh machine lacks; the package `libusb-package`
 carries it. Loading that copy first, with its symbols made global, satisfies the wheel.
 
+Its figures in a browser need dash and 34 more packages, 116 MB, and nothing of ours draws any: make's
+environment is without them, and where they are missing a module without figures takes the place of Open3D's.
+
 Its point-to-plane ICP adds up in whatever order its threads finish: the last bits vary, and where a match is
 poor they grow to another pose. On one thread there is one order.
 """
@@ -10,11 +13,17 @@ poor they grow to another pose. On one thread there is one order.
 from __future__ import annotations
 
 import ctypes
+import sys
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
 from turtlebag.datasets.errors import InputError
+
+# The module of figures, and what Open3D imports of it.
+FIGURES = ModuleType("open3d.visualization.draw_plotly")
+FIGURES.__dict__.update(get_plotly_fig=None, draw_plotly=None, draw_plotly_server=None)
 
 
 @cache
@@ -26,6 +35,8 @@ def open3d() -> ModuleType:
     try:
         if library is not None:
             ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+        if find_spec("dash") is None:
+            sys.modules[FIGURES.__name__] = FIGURES
         import open3d as module
 
         _keep_to_one_thread(module)

@@ -9,15 +9,12 @@ disc, the footprint itself is checked in every heading (turtlebag.planners.latti
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from turtlebag.datasets.parts import chosen, part_of
+from turtlebag.datasets.parts import chosen
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.collision_monitor import padded
 from turtlebag.planners.costmap import COST_SCALING, SNAP_M, Costmap, nearest_free
@@ -25,8 +22,8 @@ from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.footprint_motions import Ground, free_from
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
-from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, OmplConfig, solve
-from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan
+from turtlebag.planners.ompl_planner import GOOD_ENOUGH, DiscFloor, solve
+from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, PlanConfig
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 
 BAND_PULL, BAND_PUSHES, BAND_ITERATIONS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
@@ -42,27 +39,6 @@ ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
 """Planners of last resort: tightened ways over cells, or cells and headings."""
-
-
-class PlanConfig(Settings, allow_inf_nan=False):
-    """Distances in metres."""
-
-    planner: Annotated[str, part_of("ompl")] = Field(default="ompl", exclude_if=lambda name: name == "ompl")
-    """`ompl`, or your own class."""
-    ompl: OmplConfig = OmplConfig()
-    margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
-        default=(0.10, 0.07, 0.04, 0.0), min_length=1, max_length=20
-    )
-    """Margins around the circumscribed circle, tried in this order; the last one only if needed."""
-    stretch: float = Field(default=1.05, ge=1.0, le=10.0)
-    """Longest path for the sake of a wider margin, relative to the shortest one with the last margin."""
-    inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
-    """Distance from the disc within which obstacles push the path away."""
-
-    @property
-    def name(self) -> str:
-        """The planner's name: an OMPL planner, or a user's class."""
-        return self.ompl.name if self.planner == "ompl" else self.planner
 
 
 def fits(costmap: Costmap, model: RobotModel, T_map_base: SE2) -> bool:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Protocol
 
+from pydantic import Field
+
+from turtlebag.datasets.parts import part_of
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.ompl_planner import OmplConfig
 
 
 class NoPath(Exception):
@@ -28,11 +33,32 @@ class Plan:
     planner: str
 
 
+class PlanConfig(Settings, allow_inf_nan=False):
+    """Distances in metres."""
+
+    planner: Annotated[str, part_of("ompl")] = Field(default="ompl", exclude_if=lambda name: name == "ompl")
+    """`ompl`, or your own class."""
+    ompl: OmplConfig = OmplConfig()
+    margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
+        default=(0.10, 0.07, 0.04, 0.0), min_length=1, max_length=20
+    )
+    """Margins around the circumscribed circle, tried in this order; the last one only if needed."""
+    stretch: float = Field(default=1.05, ge=1.0, le=10.0)
+    """Longest path for the sake of a wider margin, relative to the shortest one with the last margin."""
+    inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
+    """Distance from the disc within which obstacles push the path away."""
+
+    @property
+    def name(self) -> str:
+        """The planner's name: an OMPL planner, or a user's class."""
+        return self.ompl.name if self.planner == "ompl" else self.planner
+
+
 class GlobalPlanner(Protocol):
     """Finds one path; a new planner is made for each. It must not modify its inputs."""
 
-    def __init__(self, config: Any) -> None:
-        """`config` are the settings `plan`, a `turtlebag.planners.global_plan.PlanConfig`."""
+    def __init__(self, config: PlanConfig) -> None:
+        """`config` are the settings `plan`."""
         ...
 
     def plan(self, costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2, seed: int) -> Plan:

@@ -25,6 +25,7 @@ from turtlebag.datasets.outputs import sha256_file, sha256_tree
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
+from turtlebag.datasets.true_maps import TrueMap, load_true_map
 from turtlebag.datasets.types import Trajectory
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.reports.metric_specs import SPECS
@@ -150,9 +151,9 @@ class Stage:
         return bool(self.metrics.get("localisation_error_m"))
 
     @cached_property
-    def true_map(self) -> OccupancyGrid | None:
-        """The world at the lidar's height: truth/map.yaml."""
-        return load_map(self.folder / "truth/map.yaml") if self.has("truth/map.yaml") else None
+    def true_map(self) -> TrueMap | None:
+        """The world at the lidar's height: truth/map.yaml, truth/circles.yaml."""
+        return load_true_map(self.folder / "truth") if self.has("truth/map.yaml") else None
 
     @cached_property
     def map(self) -> OccupancyGrid | None:

@@ -7,9 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.se2 import Array
 from turtlebag.sim.bullet import bullet
+from turtlebag.sim.plans import Plan
 from turtlebag.sim.shapes import Ball, Mesh, Solid, as_rectangle
 
+WALLS = 2000
+"""Segments of a plan in one body: within the number of corners that Bullet takes everywhere."""
 GROUP = 16
 """How many shapes Bullet's Python module takes for one body."""
 
@@ -33,6 +37,16 @@ def groups(solids: Sequence[Solid], reachable: Sequence[bool], lidar_height: flo
         numbers.sort(key=lambda n: (round(solids[n].center[0]), solids[n].center[1], n))
         alone += [numbers[k : k + GROUP] for k in range(0, len(numbers), GROUP)]
     return alone
+
+
+def create_bodies(solids: Sequence[Solid], client: int) -> list[int]:
+    """The bodies of solids that share one (or of a single solid of any kind); returns their ids."""
+    if not isinstance(solids[0], Plan):
+        return [create_compound(solids, client)]
+    return [
+        _create_mesh(walls, client)
+        for walls in np.split(solids[0].triangles, range(2 * WALLS, len(solids[0].triangles), 2 * WALLS))
+    ]
 
 
 def create_compound(solids: Sequence[Solid], client: int) -> int:
@@ -68,10 +82,8 @@ def create_body(solid: Solid, client: int) -> int:
     given: dict[str, Any]
     rectangle = as_rectangle(solid.polygon)
     if isinstance(solid, Mesh):
-        position = [0.0, 0.0, 0.0]
-        corners = solid.triangles.reshape(-1, 3).tolist()
-        given = {"shapeType": bullet.GEOM_MESH, "vertices": corners, "indices": list(range(len(corners)))}
-    elif isinstance(solid, Ball):
+        return _create_mesh(solid.triangles, client)
+    if isinstance(solid, Ball):
         given = {"shapeType": bullet.GEOM_SPHERE, "radius": solid.radius}
     elif solid.is_cylinder:
         given = {"shapeType": bullet.GEOM_CYLINDER, "radius": solid.radius, "height": height}
@@ -84,6 +96,18 @@ def create_body(solid: Solid, client: int) -> int:
         corners = [[float(x), float(y), z] for z in (-height / 2.0, height / 2.0) for x, y in outline]
         given = {"shapeType": bullet.GEOM_MESH, "vertices": corners}
     return _static(bullet.createCollisionShape(**given, physicsClientId=client), position, yaw, client)
+
+
+def _create_mesh(triangles: Array, client: int) -> int:
+    """A body of triangles (n, 3, 3) in the world frame."""
+    corners, indices = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    shape = bullet.createCollisionShape(
+        shapeType=bullet.GEOM_MESH,
+        vertices=corners.tolist(),
+        indices=indices.ravel().tolist(),
+        physicsClientId=client,
+    )
+    return _static(shape, [0.0, 0.0, 0.0], 0.0, client)
 
 
 def _static(shape: int, position: list[float], yaw: float, client: int) -> int:

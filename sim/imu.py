@@ -21,12 +21,19 @@ class ImuConfig(Settings):
     """
 
     enabled: bool = True
+    """Whether there is an IMU."""
     gyro_noise: NonNegative | None = None
+    """Of a sample of the gyro [rad/s]."""
     gyro_bias: NonNegative | None = None
+    """Of the gyro's bias at the start [rad/s]."""
     gyro_walk: NonNegative | None = None
+    """Of its walk [rad/s/sqrt(s)]."""
     accelerometer_noise: NonNegative | None = None
+    """Of a sample of the accelerometer [m/s^2]."""
     accelerometer_bias: NonNegative | None = None
+    """Of its bias at the start [m/s^2]."""
     accelerometer_walk: NonNegative | None = None
+    """Of its walk [m/s^2/sqrt(s)]."""
 
     def resolved(self, mount: ImuMount) -> ImuConfig:
         """The same with the errors of this IMU where none are set."""
@@ -39,7 +46,7 @@ class ImuSensor:
 
     def __init__(self, robot: RobotSpec, config: ImuConfig, rng: np.random.Generator) -> None:
         self._config, self._rng = config, rng
-        self._lever = np.array(robot.imu.position[:2])
+        self._lever = robot.imu.position[:2]
         errors = config.resolved(robot.imu).model_dump()
         noise, bias, walk = (
             np.repeat([errors[f"gyro_{name}"], errors[f"accelerometer_{name}"]], 3)
@@ -57,8 +64,7 @@ class ImuSensor:
         # Sample j is taken at j / RATE_HZ; the step ends at step / CONTROL_HZ.
         until = step * RATE_HZ // CONTROL_HZ
         n = until - self._count
-        ticks = np.arange(self._count + 1, until + 1, dtype=np.float64)
-        at: Array = np.asarray(ticks * (CONTROL_HZ / RATE_HZ) - (step - 1), dtype=np.float64)
+        at = [(self._count + 1 + k) * (CONTROL_HZ / RATE_HZ) - (step - 1) for k in range(n)]
         self._count = until
         last, self._last = self._last, twist
         draws = self._rng.standard_normal((2, n, 6))
@@ -69,15 +75,14 @@ class ImuSensor:
         period = 10**9 // RATE_HZ
         return tuple(Imu((until - n + 1 + k) * period, values[k, :3], values[k, 3:]) for k in range(n))
 
-    def _true(self, before: Twist, after: Twist, at: Array) -> Array:
-        """Gyro and specific force, (n, 6), at fractions (n,) of a control step; linear speeds between."""
-        out = np.zeros((len(at), 6))
+    def _true(self, before: Twist, after: Twist, at: list[float]) -> Array:
+        """Gyro and specific force, (n, 6), at fractions (n) of a control step; linear speeds between."""
         dv, dw = (after.v - before.v) * CONTROL_HZ, (after.w - before.w) * CONTROL_HZ
-        v, w = before.v + at * (after.v - before.v), before.w + at * (after.w - before.w)
         x, y = self._lever
-        out[:, 2] = w
-        # Acceleration of a point of the body: of the base, from the turning rate's change, centripetal.
-        out[:, 3] = dv - dw * y - w * w * x
-        out[:, 4] = v * w + dw * x - w * w * y
-        out[:, 5] = GRAVITY
-        return out
+        rows = np.zeros((len(at), 6))
+        for k, fraction in enumerate(at):  # three or four, fewer than are worth an operation on arrays
+            v, w = before.v + fraction * (after.v - before.v), before.w + fraction * (after.w - before.w)
+            # Acceleration of a point of the body: of the base, from the turning rate's change, centripetal.
+            forward, aside = dv - dw * y - w * w * x, v * w + dw * x - w * w * y
+            rows[k, 2:] = w, forward, aside, GRAVITY
+        return rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
@@ -13,11 +14,14 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.sim.lidar_errors import LidarUnit, incidence
+from turtlebag.sim.nearby import Nearby
 from turtlebag.sim.raycast import beam_rays, cast
 from turtlebag.sim.robots import Lidar as RobotLidar
 from turtlebag.sim.robots import LidarErrors, RobotSpec
 from turtlebag.sim.shapes import Sections, Solid, sections
 
+SWEPT_M = 1.0
+"""A lidar moves no farther than this in one sweep; of a faster one all outlines are looked at."""
 GAZEBO_SIGMA = 0.01
 """White noise of the tutorial's lidar in Gazebo [m]."""
 
@@ -31,6 +35,7 @@ class LidarConfig(Settings):
     """
 
     turning: bool = True
+    """Whether the beams of a scan are taken one after another, as the lidar turns; else all at once."""
     noise: Literal["sensor", "gazebo", "datasheet", "none"] | None = None
     """None: by `sim.sensors`; a lidar without a simulator: `gazebo`."""
     errors: LidarErrors | None = None
@@ -77,9 +82,10 @@ class Lidar:
 
     def surround(self, solids: Sequence[Solid]) -> None:
         """Set the solids around the lidar from now on."""
-        self._outlines = sections([s for s in solids if s.crosses(self._height)], self._height)
-        returns = np.concatenate([self._outlines.segment_return, self._outlines.circle_return, [1.0]])
-        self._returns = returns if self._config.reflectivity and returns.min() < 1.0 else None
+        outlines = sections([s for s in solids if s.crosses(self._height)], self._height)
+        self._nearby = Nearby(outlines, self.spec.range_max + SWEPT_M)
+        returns = np.concatenate([outlines.segment_return, outlines.circle_return, [1.0]])
+        self._absorbed = self._config.reflectivity and bool(returns.min() < 1.0)
 
     def turn(self) -> tuple[float, float]:
         """Begin a turn of the head: its share of the nominal time, and how late it is stamped [s]."""
@@ -100,12 +106,16 @@ class Lidar:
 
     def _cast(
         self, poses: Array, begin: float, end: float | None, angles: Array
-    ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-        """Distances, outlines hit, and the beams' origins and directions, for the angles they point at."""
+    ) -> tuple[Array, NDArray[np.int64], Array, Array, Sections]:
+        """Distances, which outlines are hit, the beams' origins and directions, for the angles they point at,
+        and those outlines."""
         last = float(len(poses) - 1)
         when: Array = begin + self._sweep * ((last if end is None else end) - begin)
         origins, directions, bearings = beam_rays(poses, when, self._T_base_lidar, angles)
-        outlines, limit = self._outlines, self.spec.range_max
+        x, y = (0.5 * (origins[0] + origins[-1])).tolist()
+        swept = float(np.abs(origins - (x, y)).max()) * math.sqrt(2.0)
+        outlines = self._nearby.at(x, y) if swept <= SWEPT_M else self._nearby.everything
+        limit = self.spec.range_max
         ranges, hits = cast(origins, directions, bearings, (outlines.segments, outlines.circles), limit)
         # Shorter where a mover stands in the way, each beam by where it stood in that step.
         step = np.minimum(when.astype(np.int64), len(self._movers) - 1)
@@ -116,7 +126,7 @@ class Lidar:
             closer = near < ranges[beams]
             ranges[beams[closer]] = near[closer]
             hits[beams[closer]] = -1
-        return ranges, hits, origins, directions
+        return ranges, hits, origins, directions, outlines
 
     def note_movers(self, outline: Sections, earlier: int) -> None:
         """Where the movers stand in the control step just taken; `earlier`: steps before it in this turn."""
@@ -125,7 +135,7 @@ class Lidar:
     def measure(self, poses: Array, begin: float = 0.0, end: float | None = None) -> NDArray[np.float32]:
         """Ranges (n_beams,) as the driver would publish them (REP-117); arguments of `true_ranges`."""
         unit, angles = self._unit, self.spec.angles
-        ranges, hits, origins, directions = self._cast(
+        ranges, hits, origins, directions, outlines = self._cast(
             poses, begin, end, angles if unit is None else unit.directions(angles)
         )
         low, high = self.spec.range_min, self.spec.range_max
@@ -133,10 +143,11 @@ class Lidar:
         noisy = np.clip(ranges + self._noise(ranges) if unit is None else unit.ranges(ranges), low, high)
         out = np.where(valid, noisy, np.where(ranges < low, -np.inf, np.inf))
         if unit is not None:
-            cosine = incidence(origins, directions, ranges, hits, self._outlines)
+            cosine = incidence(origins, directions, ranges, hits, outlines)
             out = np.where(unit.comes_back(cosine), out, np.inf)
-        if self._returns is not None:
-            out = np.where(self._rng.random(len(out)) < self._returns[hits], out, np.inf)
+        if self._absorbed:
+            returns = np.concatenate([outlines.segment_return, outlines.circle_return, [1.0]])
+            out = np.where(self._rng.random(len(out)) < returns[hits], out, np.inf)
         if self._config.dropout > 0.0:
             out = np.where(self._rng.random(len(out)) < self._config.dropout, np.inf, out)
         return _between(out.astype(np.float32), self.spec)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.sim.raycast import distance_to_point
+from turtlebag.sim.nearby import Nearby
 from turtlebag.sim.shapes import Sections, Solid, sections
 
 WANDER_MARGIN_M = 0.15
@@ -44,9 +44,7 @@ class Mover:
 class MovingSolid:
     """One mover under way; where it is depends on the seed, the steps taken and, if it yields, the robot."""
 
-    def __init__(
-        self, mover: Mover, standing: Sections, robot_radius: float, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, mover: Mover, standing: Nearby, robot_radius: float, rng: np.random.Generator) -> None:
         self.mover, self.standing, self._rng = mover, standing, rng
         self.outline = sections([mover.solid], mover.solid.z_min)
         """Where it would stand at the origin of its own frame."""
@@ -97,9 +95,8 @@ class MovingSolid:
         x_min, x_max, y_min, y_max = self.mover.area
         for _ in range(16):
             new = self.position + left * np.array([math.cos(self._heading), math.sin(self._heading)])
-            room = distance_to_point(new[0], new[1], self.standing.segments, self.standing.circles)
             inside = x_min <= new[0] <= x_max and y_min <= new[1] <= y_max
-            if inside and room > self.mover.radius + WANDER_MARGIN_M:
+            if inside and self.standing.room(*new.tolist()) > self.mover.radius + WANDER_MARGIN_M:
                 return new
             self._heading = float(self._rng.uniform(-math.pi, math.pi))
         return self.position

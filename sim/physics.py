@@ -14,7 +14,7 @@ from pydantic import Field
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.sim.bullet import bullet
-from turtlebag.sim.bullet_bodies import create_body, create_compound, groups
+from turtlebag.sim.bullet_bodies import create_bodies, create_body, groups
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 from turtlebag.sim.shapes import Solid
 from turtlebag.sim.urdf import composite, urdf
@@ -88,7 +88,8 @@ class Physics:
         self._body_of = {number: create_body(self._solids[number], client) for number in movers}
         self._solid_of = {body: number for number, body in self._body_of.items()}
         for group in groups(self._solids[: self._n_standing], reachable, self._robot.lidar_height):
-            self._solid_of[create_compound([self._solids[n] for n in group], client)] = group[0]
+            bodies = create_bodies([self._solids[n] for n in group], client)
+            self._solid_of |= dict.fromkeys(bodies, group[0])
         for number, xy in enumerate(moving_xy):
             self.place(number, xy, np.zeros(2))
         self._load_robot(T_world_base)

@@ -4,17 +4,22 @@ A cell is OCCUPIED if it contains a surface visible from the floor that is reach
 from the spawn, FREE if it belongs to that floor, and UNKNOWN elsewhere: inside solids, behind
 walls, outside. So it can be compared, cell by cell, with a map built from scans, which never see
 the inside of a wall.
+
+The cells of a world that was made from a map lie on those of the map, and show again what it shows:
+all floor is FREE and all walls are OCCUPIED, even where nobody sees them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.sim.plans import Plan
 from turtlebag.sim.shapes import Bools, Mesh, Solid, contains
 
 INSET_M = 1e-3
@@ -30,20 +35,29 @@ def true_map(
     bounds: tuple[float, float, float, float],
     start_xy: Array,
     resolution: float,
+    T_world_origin: SE2 | None = None,
 ) -> OccupancyGrid:
     """True map at height z over `bounds` (x_min, x_max, y_min, y_max), seen from start_xy.
 
-    `solids` are those that cross that height.
+    `solids` are those that cross that height. Cells count from `T_world_origin`, the world's own without it,
+    and are turned as it is.
     """
+    T_world_origin = T_world_origin or SE2.identity()
+    corners = np.array([[x, y] for x in bounds[:2] for y in bounds[2:]])
+    corners = (T_world_origin.inverse() @ corners) / resolution
     # Whole cells, aligned to multiples of the resolution.
-    x0, y0 = np.floor(bounds[0] / resolution + 1e-9), np.floor(bounds[2] / resolution + 1e-9)
-    cols = int(np.ceil(bounds[1] / resolution - 1e-9) - x0)
-    rows = int(np.ceil(bounds[3] / resolution - 1e-9) - y0)
+    x0, y0 = np.floor(corners.min(axis=0) + 1e-9)
+    cols, rows = (np.ceil(corners.max(axis=0) - 1e-9) - (x0, y0)).astype(int)
     cells = np.full((rows, cols), UNKNOWN, dtype=np.int8)
-    grid = OccupancyGrid(cells, resolution, SE2.from_xyt(x0 * resolution, y0 * resolution, 0.0))
+    corner = SE2.from_xyt(x0 * resolution, y0 * resolution, 0.0)
+    grid = OccupancyGrid(cells, resolution, T_world_origin @ corner)
 
+    filled = _filled_cells(grid, solids, z)
+    plans = [solid for solid in solids if isinstance(solid, Plan)]
+    if plans:
+        return _of_plans(grid, plans, [solid for solid in solids if not isinstance(solid, Plan)], z, filled)
     surface = _surface_cells(grid, solids, z)
-    open_floor = ~surface & ~_filled_cells(grid, solids, z)
+    open_floor = ~surface & ~filled
     regions, _ = scipy.ndimage.label(open_floor)
     start = grid.cell_of(np.asarray(start_xy))
     region = regions[tuple(start)] if grid.contains(start) else 0
@@ -55,14 +69,34 @@ def true_map(
     return grid
 
 
+def _of_plans(
+    grid: OccupancyGrid, plans: Sequence[Plan], others: Sequence[Solid], z: float, filled: Bools
+) -> OccupancyGrid:
+    """The true map of a world that was made from maps, and of what else stands in it; `filled` (rows, cols)
+    are the cells whose centres lie within a solid."""
+    own = all(grid.resolution <= plan.grid.resolution for plan in plans)
+    # Coarser cells may have no centre within a wall.
+    surface = _surface_cells(grid, others if own else [*others, *plans], z)
+    surface |= _filled_cells(grid, [replace(plan, segments=plan.walls) for plan in plans], z)
+    free = ~filled & ~surface
+    if grid.shape != plans[0].grid.shape:  # it reaches beyond the map, of which nothing is known there
+        centres = grid.center_of(np.stack([*np.indices(grid.shape)], axis=-1))
+        free &= np.any([plan.grid.contains(plan.grid.cell_of(centres)) for plan in plans], axis=0)
+    # Unknown cells that are solid end the view where no wall does.
+    seen = filled & scipy.ndimage.binary_dilation(free)
+    grid.cells[free] = FREE
+    grid.cells[surface | seen] = OCCUPIED
+    return grid
+
+
 def _filled_cells(grid: OccupancyGrid, solids: Sequence[Solid], z: float) -> Bools:
     """Cells whose centre lies within a solid, (rows, cols)."""
     filled = np.zeros(grid.shape, dtype=bool)
     last = np.array(grid.shape) - 1
     for solid in solids:
         x_min, x_max, y_min, y_max = solid.bounds()
-        corners = grid.cell_of(np.array([[x_min, y_min], [x_max, y_max]]))
-        (row, col), (end_row, end_col) = np.clip(corners, 0, last)
+        corners = grid.cell_of(np.array([[x, y] for x in (x_min, x_max) for y in (y_min, y_max)]))
+        (row, col), (end_row, end_col) = np.clip([corners.min(axis=0), corners.max(axis=0)], 0, last)
         wide = (end_col - col + 1) * max(len(solid.polygon), 1)
         high = max(AT_ONCE // wide, 1)
         for low in range(row, end_row + 1, high):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.sim.raycast import through_circle
-from turtlebag.sim.shapes import Ball, Mesh, Solid
+from turtlebag.sim.plans import Plan
+from turtlebag.sim.raycast import cast, through_circle
+from turtlebag.sim.shapes import NO_CIRCLES, Ball, Mesh, Solid
 
 
 class Prisms(NamedTuple):
@@ -172,7 +173,10 @@ class Scene:
         )
         centres = [[*ball.center, 0.5 * (ball.z_min + ball.z_max), ball.radius] for ball in balls]
         self._balls = np.array(centres, dtype=np.float64).reshape(-1, 4)
-        meshes = [solid.triangles for solid in solids if isinstance(solid, Mesh)]
+        self._plans = [solid for solid in solids if isinstance(solid, Plan)]
+        meshes = [
+            solid.triangles for solid in solids if isinstance(solid, Mesh) and not isinstance(solid, Plan)
+        ]
         self._triangles = np.ascontiguousarray(np.vstack([np.zeros((0, 3, 3)), *meshes]))
 
     def cast(self, origins: Array, directions: Array, height: float, tangents: Array) -> Array:
@@ -182,7 +186,21 @@ class Scene:
             cast_balls(origins, directions, height, tangents, self._balls, out)
         if len(self._triangles):
             cast_triangles(origins, directions, height, tangents, self._triangles, out)
+        for plan in self._plans:
+            _cast_walls(origins, directions, height, tangents, plan, out)
         return out
+
+
+def _cast_walls(
+    origins: Array, directions: Array, height: float, tangents: Array, plan: Plan, out: Array
+) -> None:
+    """Shorten `out` as of cast_rings where a plan's walls are nearer. They are all of one height, above the
+    lidar: a beam that passes over the first passes over all."""
+    bearings = np.arctan2(directions[:, 1], directions[:, 0])
+    level, _ = cast(origins, directions, bearings, (plan.segments, NO_CIRCLES), math.inf)
+    z = height + level[:, None] * tangents
+    met = np.isfinite(level)[:, None] & (z >= plan.z_min) & (z <= plan.z_max)
+    np.minimum(out, np.where(met, level[:, None], math.inf), out=out)
 
 
 def _sides(solid: Solid) -> Array:

@@ -40,6 +40,7 @@ class SimConfig(Settings):
     """
 
     sensors: Sensors = "realistic"
+    """`realistic`: errors as of the hardware; `clean`: as in Gazebo, white lidar noise and no random slip."""
     physics: PhysicsConfig = PhysicsConfig()
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()

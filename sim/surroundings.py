@@ -10,6 +10,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.sim.movers import MovingSolid, outlines
+from turtlebag.sim.nearby import Nearby
 from turtlebag.sim.raycast import distance_to_outlines, distance_to_point
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 from turtlebag.sim.shapes import Sections, Solid, contains, sections
@@ -17,6 +18,8 @@ from turtlebag.sim.world import World
 
 OUTSIDE_M = 5.0
 """How far outside the world's bounds a robot may be put down."""
+NEAR_M = 3.0
+"""What lies farther from the robot is not asked for its distance while something is nearer."""
 DROP_ROOM_M = 0.02
 """What is dropped must lie this far from the robot."""
 
@@ -30,8 +33,9 @@ class Surroundings:
     def __init__(self, world: World, robot: RobotSpec, seed: int) -> None:
         self._world, self._robot = world, robot
         self._dropped: list[Solid] = []
-        self._standing = world.touchable(robot.height)
         radius = robot.model.circumscribed_radius
+        self._reach = max([NEAR_M, 4.0 * radius, *(2.0 * mover.radius + 1.0 for mover in world.movers)])
+        self._standing = Nearby(world.touchable(robot.height), self._reach)
         self.movers = [
             MovingSolid(mover, self._standing, radius, stream(seed, f"mover {number}"))
             for number, mover in enumerate(world.movers)
@@ -68,10 +72,10 @@ class Surroundings:
             raise InputError(f"{solid.name} {x:g}, {y:g}: would touch the robot; drop it farther away")
         self._dropped.append(solid)
         self._visible.append(solid.crosses(self._robot.lidar_height))
-        self._standing = self._standing + sections([solid], 0.0, self._robot.height)
+        more = sections([solid], 0.0, self._robot.height)
+        self._standing = Nearby(self._standing.everything + more, self._reach)
         for one in self.movers:
             one.standing = self._standing
-        self._touchable = self._standing + self.moving
 
     def contacts(self, touched: Iterable[int]) -> tuple[bool, bool]:
         """Whether any of the solids of these numbers crosses the lidar's plane, and whether any does not."""
@@ -81,12 +85,14 @@ class Surroundings:
     def clearance(self, T_world_base: SE2) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
         footprint = T_world_base @ self._robot.model.footprint
-        return float(distance_to_outlines(footprint, self._touchable.segments, self._touchable.circles))
+        moving = float(distance_to_outlines(footprint, self.moving.segments, self.moving.circles))
+        return min(moving, self._standing.clearance(footprint))
 
     def within(self, reach_m: float, T_world_base: SE2) -> bool:
         """Whether anything that can be touched is so near the robot's centre."""
         x, y, _ = T_world_base.xyt.tolist()
-        return distance_to_point(x, y, self._touchable.segments, self._touchable.circles) <= reach_m
+        moving = float(distance_to_point(x, y, self.moving.segments, self.moving.circles))
+        return min(moving, self._standing.room(x, y)) <= reach_m
 
     def require_free(self, T_world_base: SE2, what: str) -> None:
         """InputError when the robot cannot stand there."""
@@ -99,7 +105,7 @@ class Surroundings:
         solids = [*self._world.below(self._robot.height), *self._dropped]
         if (
             not np.isfinite(T_world_base.yaw)
-            or distance_to_outlines(footprint, standing.segments, standing.circles) == 0.0
+            or standing.clearance(footprint) == 0.0
             or contains(solids, self._robot.lidar_height, T_world_base.xy[None])[0]
         ):
             raise InputError(
@@ -110,4 +116,3 @@ class Surroundings:
         """Where the movers stand now."""
         height = self._robot.height
         self.moving = outlines(one for one in self.movers if one.mover.solid.z_min < height)
-        self._touchable = self._standing + self.moving

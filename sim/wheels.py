@@ -25,7 +25,9 @@ class OdometryConfig(Settings):
     """
 
     radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
+    """Largest error of the configured wheel radius, as a fraction of it; drawn once a run."""
     track_error: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
+    """The same of the distance between the wheels."""
     slip: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
     """None: by the robot, else by `sim.sensors`."""
     turn_slip: Annotated[float, Field(ge=0.0, le=0.5)] | None = None

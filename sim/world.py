@@ -8,6 +8,7 @@ from typing import Protocol
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.sim.movers import Mover
+from turtlebag.sim.plans import Plan
 from turtlebag.sim.rasterize import true_map
 from turtlebag.sim.shapes import Sections, Solid, sections
 
@@ -41,9 +42,21 @@ class World:
         """Outlines of everything that a robot of that height can touch."""
         return sections(self.below(height), 0.0, height)
 
-    def rasterize(self, z: float, resolution: float = 0.05) -> OccupancyGrid:
-        """The true map at height z, that of a perfect lidar there (see turtlebag.sim.rasterize)."""
-        return true_map(self.crossing(z), z, self.bounds, self.spawn.xy, resolution)
+    def circles(self, z: float) -> Array:
+        """Round solids at height z, (m, 3) x, y, radius [m]."""
+        return sections(self.crossing(z), z).circles
+
+    def rasterize(self, z: float, resolution: float | None = None) -> OccupancyGrid:
+        """The true map at height z, that of a perfect lidar there (see turtlebag.sim.rasterize).
+
+        `resolution` [m]; None: that of the map that the world was made from, else 0.05.
+        """
+        crossing = self.crossing(z)
+        plan = next((solid for solid in crossing if isinstance(solid, Plan)), None)
+        if resolution is None:
+            resolution = 0.05 if plan is None else plan.grid.resolution
+        T_world_grid = None if plan is None else plan.grid.T_map_grid
+        return true_map(crossing, z, self.bounds, self.spawn.xy, resolution, T_world_grid)
 
 
 class WorldMaker(Protocol):

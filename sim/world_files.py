@@ -11,9 +11,11 @@ from pydantic import Field
 from turtlebag.datasets.settings import Finite, Positive, Settings
 from turtlebag.sim.meshes import load_mesh
 from turtlebag.sim.movers import Mover
+from turtlebag.sim.plans import WALL_M, load_plan
 from turtlebag.sim.shapes import Solid, box, cylinder, mesh, prism
 
 MOST_SHAPES = 20_000
+Unknown = Literal["solid", "free"]
 Point = tuple[Finite, Finite]
 Points = Annotated[list[Point], Field(max_length=1000)]
 
@@ -82,7 +84,22 @@ class MeshSpec(_AnyShapeSpec):
         return mesh(self.name, triangles, self.reflectivity)
 
 
-ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec | MeshSpec, Field(discriminator="kind")]
+class MapSpec(Settings):
+    """The walls of a map: its yaml, relative to the world file, and whether its unknown cells are solid."""
+
+    kind: Literal["map"]
+    name: str = "map"
+    file: str
+    unknown: Unknown = "solid"
+    z: tuple[Finite, Finite] = (0.0, WALL_M)
+    when: dict[str, str] = Field({})
+
+    def solid(self, folder: Path) -> Solid:
+        """The solid it describes."""
+        return load_plan(folder / self.file, self.name, solid=self.unknown == "solid", z=self.z)
+
+
+ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec | MeshSpec | MapSpec, Field(discriminator="kind")]
 
 
 class MoverSpec(Settings):

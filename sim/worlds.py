@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import FREE, FREE_TO, OccupancyGrid
+from turtlebag.datasets.maps import map_files
 from turtlebag.datasets.number_text import decimals
 from turtlebag.datasets.parts import find, is_own, source_files
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.clutter import cluttered
 from turtlebag.sim.generators import GENERATORS, LIMITS, seeded
+from turtlebag.sim.plans import load_plan, roomiest_place
 from turtlebag.sim.raycast import first_with_room
 from turtlebag.sim.sdf import load_sdf
 from turtlebag.sim.shapes import Solid, contains, sections
 from turtlebag.sim.world import World, WorldMaker
-from turtlebag.sim.world_files import MOST_SHAPES, GeneratorSpec, WorldSpec
+from turtlebag.sim.world_files import MOST_SHAPES, GeneratorSpec, Unknown, WorldSpec
 
+TRAJECTORY = "trajectory.tum"
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
 """Free border around the outermost solid in a true map."""
@@ -32,6 +38,7 @@ def load_world(name_or_path: str) -> World:
 
     Options of a world follow its name: `turtlebot3_house:gate=open`. Generated worlds are named by
     generator and seed: `maze:7`, `office:3`, `forest:5,density=0.5`. A .world or .sdf file is imported.
+    A map yaml, which has the key `image`, is a world of its walls: `map.yaml:unknown=free,spawn=1/2/0`.
     `module:Class` or `module:Class:options` is a `WorldMaker` of the user's own.
     Any of them may be followed by `+clutter:SEED,boxes=3,movers=2`: things that no map of it shows.
     """
@@ -49,7 +56,7 @@ def load_world(name_or_path: str) -> World:
         raise InputError(
             f"unknown world '{name_or_path}'; known: {', '.join(world_names())}, "
             f"{', '.join(f'{generator}:SEED' for generator in GENERATORS)}, a .yaml, .world or .sdf file, "
-            "or your own class (module:Class)"
+            "a map's yaml, or your own class (module:Class)"
         )
     path = find_named(name, FOLDER, "world")
     data = read_mapping(path)
@@ -57,6 +64,8 @@ def load_world(name_or_path: str) -> World:
         given = checked(GeneratorSpec, data, where=str(path))
         settings = ",".join([str(given.seed), *(f"{key}={value}" for key, value in given.options.items())])
         return _generated(str(path), given.generator, settings)
+    if "image" in data:
+        return _from_map(path, settings)
     if "shapes" not in data:
         raise InputError(f"{path}: not a world file: it has no 'shapes'")
     spec = checked(WorldSpec, data, where=str(path))
@@ -92,7 +101,27 @@ def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
     if own := own_world(world_name):
         return source_files({"world": own[0]}) | own_files("", robot_name)
     named = {"world": world_name.partition("+clutter:")[0].partition(":")[0], "robot": robot_name or ""}
-    return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
+    files = {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
+    return {**files, **_files_of_maps(files["world"])} if "world" in files else files
+
+
+def _files_of_maps(world: Path) -> dict[str, Path]:
+    """What a world file that is a map, or has maps among its shapes, reads besides."""
+    data = read_mapping(world) if world.suffix in (".yaml", ".yml") else {}
+    if "image" in data:
+        start = world.parent / TRAJECTORY
+        return {
+            "world_image": map_files(world)["map_image"],
+            **({"world_trajectory": start} if start.is_file() else {}),
+        }
+    if not isinstance(shapes := data.get("shapes"), list):
+        return {}
+    maps = [shape.get("file") for shape in shapes if isinstance(shape, dict) and shape.get("kind") == "map"]
+    return {
+        f"world_{kind}{number or ''}": path
+        for number, file in enumerate(maps)
+        for kind, path in map_files(world.parent / str(file)).items()
+    }
 
 
 def _own(part: str, options: str) -> World:
@@ -132,12 +161,45 @@ def _from_sdf(path: Path, settings: str) -> World:
     if len(solids) > MOST_SHAPES:
         raise InputError(f"{path}: {len(solids)} shapes; a world has at most {MOST_SHAPES}")
     bounds = _mappable(bounds_of(tuple(solids), 2.0), str(path))
+    spawn = _spawn(path, value) or _roomy_place(solids, bounds)
+    return World(path.stem if name == "default" else name, "burger", spawn, tuple(solids), bounds, (), {})
+
+
+def _from_map(path: Path, settings: str) -> World:
+    """The world of a map yaml. It starts where `spawn` says, else where the map's own drive did (a
+    trajectory.tum beside it, if that is on free cells), else at the roomiest place."""
+    keys = {"unknown": "solid", "spawn": ""}
+    for setting in filter(None, settings.split(",")):
+        key, _, value = setting.partition("=")
+        if key not in keys:
+            raise InputError(f"{path}: a map as a world has no option '{key}' (it has: unknown, spawn)")
+        keys[key] = value
+    if keys["unknown"] not in get_args(Unknown):
+        raise InputError(f"{path}: unknown={keys['unknown']}: choose one of {', '.join(get_args(Unknown))}")
+    plan = load_plan(path, path.stem, solid=keys["unknown"] == "solid")
+    height, width = np.array(plan.grid.shape) * plan.grid.resolution
+    corners = plan.grid.T_map_grid @ np.array([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]])
+    (x_min, y_min), (x_max, y_max) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    bounds = _mappable((x_min, x_max, y_min, y_max), str(path))
+    spawn = _spawn(path, keys["spawn"]) or _start_of(path, plan.grid) or roomiest_place(plan.grid)
+    return World(path.stem, "burger", spawn, (plan,), bounds, (), {})
+
+
+def _start_of(path: Path, grid: OccupancyGrid) -> SE2 | None:
+    """Where the drive began that a map of ours was made from."""
+    beside = path.parent / TRAJECTORY
+    trajectory = load_tum(beside) if beside.is_file() else None
+    if not trajectory or grid.value_at(trajectory.poses.xy[0]) not in range(FREE, FREE_TO + 1):
+        return None
+    return trajectory.poses[0]
+
+
+def _spawn(path: Path, value: str) -> SE2 | None:
+    """The pose that `spawn=x/y/yaw` says; None where it is not given."""
     try:
-        spawn = SE2.from_xyt(*decimals(value.split("/"))) if value else None
+        return SE2.from_xyt(*decimals(value.split("/"))) if value else None
     except (TypeError, ValueError):
         raise InputError(f"{path}: spawn={value}: expected x/y/yaw") from None
-    spawn = spawn if spawn is not None else _roomy_place(solids, bounds)
-    return World(path.stem if name == "default" else name, "burger", spawn, tuple(solids), bounds, (), {})
 
 
 def _mappable(bounds: tuple[float, float, float, float], where: str) -> tuple[float, float, float, float]:

@@ -14,7 +14,7 @@ MOST_SHARED = 30
 """Constants that one module of the mapper takes from another."""
 SLAM = "pipeline/slam"
 FLOORS = (
-    ("progress",),
+    ("progress", "thin_walls"),
     ("scans",),
     ("graph",),
     ("odometry",),

@@ -1,5 +1,6 @@
 """`make docs`: the site is built without a warning and without the network, and its links lead somewhere."""
 
+import re
 import socket
 from html.parser import HTMLParser
 from pathlib import Path
@@ -60,5 +61,8 @@ def test_the_site_is_built_without_the_network_and_every_link_leads_somewhere(tm
             if parts.fragment and target.suffix == ".html":
                 assert unquote(parts.fragment) in pages[target].names, f"{path.name}: {link}"
 
+    settings = (tmp_path / "settings.html").read_text()
+    assert re.findall(r"<td><code>([a-z0-9_.]+)</code></td>\s*<td>.*?</td>\s*<td></td>", settings) == []
+    assert settings.count("<tr>") > 200
     reference = pages[tmp_path / "reference.html"].names
     assert {f"turtlebag.{name}" for name in turtlebag.__all__} <= reference

@@ -1,9 +1,14 @@
 """The pages of the site that are generated: all commands by `--help`, all settings, the glossary."""
 
+import ast
+import inspect
 import io
 import re
+import textwrap
 from collections.abc import Iterator
 from contextlib import redirect_stdout, suppress
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -79,4 +84,23 @@ def rows(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str, s
             yield from rows(type(default), f"{prefix}{name}.")
             continue
         value = "" if default is None else f"`{default}`"
-        yield f"{prefix}{name}", value, (field.description or "").replace("|", "\\|")
+        text = field.description or next(filter(None, (documented(one).get(name) for one in model.mro())), "")
+        yield f"{prefix}{name}", value, " ".join(text.split()).replace("|", "\\|")
+
+
+@cache
+def documented(model: type) -> dict[str, str]:
+    """The docstrings that stand below the fields of a class."""
+    if not issubclass(model, BaseModel) or model is BaseModel:
+        return {}
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    assert isinstance(tree, ast.ClassDef)
+    return {
+        field.target.id: text.value.value
+        for field, text in pairwise(tree.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+        and isinstance(text.value.value, str)
+    }

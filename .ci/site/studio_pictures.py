@@ -1,28 +1,36 @@
-"""The pictures of the studio in README and docs, taken with the browser of the tests.
+"""The pictures of the studio in README and docs, taken with Chromium.
 
 python .ci/site/studio_pictures.py FOLDER
 """
 
-import io
+import asyncio
+import os
+import shutil
 import sys
 import tempfile
+from asyncio.subprocess import DEVNULL
 from pathlib import Path
 
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs/examples"))
 
-from tests.helpers.browser import Browser, find_browser
-from tests.studio.fakes import Served
-from tests.studio.page import ENABLED, click, shown_text, until
+from studio_client import Client
+
 from turtlebag.datasets.maps import save_map
 from turtlebag.pipeline.slam.mapper import SlamConfig
+from turtlebag.pipeline.studio.access import LOOPBACK, Access, listen, new_token
 from turtlebag.pipeline.studio.inputs import parse_input
+from turtlebag.pipeline.studio.server import serve
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup, StudioSetup
 
 WORLD, WIDE, HIGH, COLOURS = "turtlebot3_world", 1280, 720, 64
 LOOPS = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--window-size={WIDE},{HIGH}")
+LOADED_MS = 8000
+"""Time of the page after which it is drawn."""
 
 
 class Scene:
@@ -31,12 +39,12 @@ class Scene:
     def __init__(self, setup, folder):
         folder.mkdir()
         self.session = Session(setup, folder, lambda line: None)
-        self.last = lambda: None
-        """What is done when time stands still."""
+        self.last = {}
+        """An input for when time stands still."""
 
-    def do(self, what, **fields):
+    def do(self, do, **fields):
         """An input."""
-        self.session.apply(parse_input({"do": what, **fields}))
+        self.session.apply(parse_input({"do": do, **fields}))
 
     def wait(self, most_s, enough=lambda view: False):
         """Let time pass, until there is enough to see."""
@@ -48,7 +56,7 @@ class Scene:
     def pose(self, ahead_m=0.0, turn=0.0):
         """An estimate, so far from the true pose."""
         x, y, yaw = self.session.view().T_world_base.xyt.tolist()
-        self.do("pose_estimate", pose=[x + ahead_m, y + ahead_m, yaw + turn])
+        return {"do": "pose_estimate", "pose": [x + ahead_m, y + ahead_m, yaw + turn]}
 
 
 def mapping(folder):
@@ -67,7 +75,7 @@ def wrong_pose(folder, true_map):
     """Before a pose is set beside where the robot is: the filter would correct it before one looks."""
     scene = Scene(StudioSetup(WORLD, seed=1, map_path=true_map), folder / "pose")
     scene.wait(1.0)
-    scene.last = lambda: scene.pose(0.22, 0.35)
+    scene.last = scene.pose(0.22, 0.35)
     return scene
 
 
@@ -75,7 +83,7 @@ def patrol(folder, true_map):
     """Five of the tutorial's eight waypoints are reached."""
     scene = Scene(StudioSetup(WORLD, seed=1, map_path=true_map), folder / "patrol")
     scene.do("waypoints_load")
-    scene.pose()
+    scene.do(**scene.pose())
     stops = [{"pose": list(stop[:3])} for stop in scene.session.view().waypoints]
     scene.do("patrol", waypoints=stops)
     scene.wait(400.0, lambda view: sum(goal.status == "reached" for goal in view.goals) == 5)
@@ -96,20 +104,38 @@ def bag(folder):
     return scene
 
 
-def picture(browser, scene, file):
-    """The page of a session, with few colours: it is mostly flat."""
-    with Served(scene.session) as server:
-        browser.open(server.url, WIDE, HIGH)
-        until(lambda: browser.evaluate(ENABLED))
-        click(browser, "#pause")
-        until(lambda: shown_text(browser, "factor") == "paused")
-        scene.last()
-        browser.key("0")
-        until(lambda: browser.evaluate("import('./scene.js').then(({ scene }) => scene.grids.map?.w > 1)"))
-        browser.evaluate("new Promise((done) => setTimeout(done, 500))")
-        shot = Image.open(io.BytesIO(browser.picture())).convert("RGB")
-        browser.leave()
-    shot.quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+def find_browser():
+    """Path of a Chromium, from TURTLEBAG_CHROMIUM or the search path."""
+    known = [os.environ.get("TURTLEBAG_CHROMIUM"), *map(shutil.which, BROWSERS)]
+    return next(filter(None, known), None) or sys.exit("no Chromium here: `make browser` installs one")
+
+
+async def taken(scene, file):
+    """The page of a session, while time stands still."""
+    sockets, interrupted = listen(LOOPBACK, 0), []
+    access = Access(new_token(), LOOPBACK, sockets[0].getsockname()[1])
+    serving = asyncio.create_task(
+        serve(scene.session, access, sockets, interrupted=interrupted, ready=lambda: None)
+    )
+    await asyncio.sleep(0)
+    client = await Client.open(access.url)
+    await client.asked("pause")
+    if scene.last:
+        await client.asked(**scene.last)
+    client.close()
+    profile = f"--user-data-dir={file.parent / 'profile'}"
+    wanted = f"--virtual-time-budget={LOADED_MS}", f"--screenshot={file}", access.url
+    browser = await asyncio.create_subprocess_exec(find_browser(), *FLAGS, profile, *wanted, stderr=DEVNULL)
+    await browser.wait()
+    interrupted.append(2)
+    await serving
+
+
+def picture(scene, shot, file):
+    """The picture of a session, with few colours: it is mostly flat."""
+    asyncio.run(taken(scene, shot))
+    scene.session.close()
+    Image.open(shot).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
     print(f"{file}: {file.stat().st_size // 1024} KiB")
 
 
@@ -120,18 +146,13 @@ def main(out):
         setup = StudioSetup(WORLD)
         save_map(setup.arena.rasterize(setup.spec.lidar_height), folder)
         true_map = folder / "map.yaml"
-        with Browser(find_browser(), folder / "profile") as browser:
-            scene = mapping(folder)
-            picture(browser, scene, out / "studio_mapping.png")
-            scene.session.close()
-            for file, made in (
-                ("pose", lambda: wrong_pose(folder, true_map)),
-                ("patrol", lambda: patrol(folder, true_map)),
-                ("bag", lambda: bag(folder)),
-            ):
-                scene = made()
-                picture(browser, scene, out / f"studio_{file}.png")
-                scene.session.close()
+        for file, made in (
+            ("mapping", lambda: mapping(folder)),
+            ("pose", lambda: wrong_pose(folder, true_map)),
+            ("patrol", lambda: patrol(folder, true_map)),
+            ("bag", lambda: bag(folder)),
+        ):
+            picture(made(), folder / "shot.png", out / f"studio_{file}.png")
 
 
 if __name__ == "__main__":

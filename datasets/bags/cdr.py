@@ -1,9 +1,16 @@
-"""Our messages in CDR, little endian, serialised by rosbags. Stamps are nanoseconds, poses planar."""
+"""Our messages in CDR, little endian. Stamps are nanoseconds, poses planar.
+
+A message is packed at once from its numbers, texts and arrays in the order of its definition; where each of
+them lies follows from the definition and from how long texts and sequences are.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from itertools import chain
 from math import cos, sin
+from struct import Struct, calcsize
 from typing import Any
 
 import numpy as np
@@ -14,114 +21,153 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Imu, Joints, Scan, Twist
 
 NO_COVARIANCE = np.zeros(36)
-_EMPTY = np.zeros(0)
-_UNKNOWN_ORIENTATION = np.array([-1.0, *[0.0] * 8])
+_NO_COVARIANCE = NO_COVARIANCE.tobytes()
+_UNKNOWN_ORIENTATION = 0.0, 0.0, 0.0, 1.0, np.array([-1.0, *[0.0] * 8]).tobytes()
+_WHEELS = Struct("<2d")
+_FRONT = b"\0\1\0\0"
+"""What CDR of little endian begins with; places in a message are counted from behind it."""
+_CODES = {
+    "bool": "?", "int8": "b", "uint8": "B", "byte": "B", "int16": "h", "uint16": "H", "int32": "i",
+    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
 
 
-def _make(kind: str, *fields: Any) -> Any:
-    return typestore().types[kind](*fields)
+@lru_cache(maxsize=256)
+def _layout(kind: str, *lengths: int) -> Struct:
+    """How a message lies in memory: of a text its length with the final zero and its bytes, of a sequence the
+    number of its elements and these. Arrays of numbers are bytes. `lengths` are those of texts and sequences
+    in order."""
+    from rosbags.interfaces import Nodetype
+
+    ahead, codes, place = iter(lengths), ["<"], 0
+
+    def put(code: str, align: int) -> None:
+        nonlocal place
+        gap = -place % align
+        codes.append(f"{gap}x{code}")
+        place += gap + calcsize("<" + code)
+
+    def field(node: Any, about: Any) -> None:
+        if node == Nodetype.NAME:
+            for _, part in typestore().get_msgdef(about).fields:
+                field(*part)
+        elif node == Nodetype.BASE and about[0] == "string":
+            put("I", 4)
+            put(f"{next(ahead)}s", 1)
+        elif node == Nodetype.BASE:
+            code = _CODES[about[0]]
+            put(code, calcsize(code))
+        else:
+            element, count = about
+            if node == Nodetype.SEQUENCE:
+                put("I", 4)
+                count = next(ahead)
+            if element[0] == Nodetype.BASE and element[1][0] != "string":
+                width = calcsize(_CODES[element[1][0]])
+                put(f"{count * width}s", width if count else 1)
+            else:
+                for _ in range(count):
+                    field(*element)
+
+    field(Nodetype.NAME, kind)
+    return Struct("".join(codes))
 
 
-def _bytes(kind: str, *fields: Any) -> bytes:
-    return bytes(typestore().serialize_cdr(_make(kind, *fields), kind))
+def _bytes(kind: str, lengths: Sequence[int], *values: Any) -> bytes:
+    return _FRONT + _layout(kind, *lengths).pack(*values)
 
 
-def _stamp(stamp_ns: int) -> Any:
-    return _make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 1_000_000_000))
+@lru_cache(maxsize=256)
+def _text(text: str) -> tuple[int, bytes]:
+    """A text as it is packed: its length with the final zero, and its bytes."""
+    data = text.encode() + b"\0"
+    return len(data), data
 
 
-def _header(stamp_ns: int, frame: str) -> Any:
-    return _make("std_msgs/msg/Header", _stamp(stamp_ns), frame)
+def _stamp(stamp_ns: int) -> tuple[int, int]:
+    return divmod(stamp_ns, 1_000_000_000)
 
 
-def _vector(x: float, y: float, z: float, kind: str = "Vector3") -> Any:
-    return _make(f"geometry_msgs/msg/{kind}", x, y, z)
+def _pose(x: float, y: float, yaw: float) -> tuple[float, ...]:
+    return x, y, 0.0, 0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)
 
 
-def _turn(yaw: float) -> Any:
-    return _make("geometry_msgs/msg/Quaternion", 0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw))
-
-
-def _pose(x: float, y: float, yaw: float) -> Any:
-    return _make("geometry_msgs/msg/Pose", _vector(x, y, 0.0, "Point"), _turn(yaw))
-
-
-def _with_covariance(kind: str, value: Any, covariance: Array) -> Any:
-    return _make(f"geometry_msgs/msg/{kind}WithCovariance", value, covariance)
-
-
-def _velocity(twist: Twist) -> tuple[Any, Any]:
-    return _vector(twist.v, 0.0, 0.0), _vector(0.0, 0.0, twist.w)
+def _velocity(twist: Twist) -> tuple[float, ...]:
+    return twist.v, 0.0, 0.0, 0.0, 0.0, twist.w
 
 
 def odometry(frame: str, child: str, stamp_ns: int, T: SE2, velocity: Twist, covariance: Array) -> bytes:
     """nav_msgs/Odometry; `covariance` (36,) of the pose."""
-    pose = _with_covariance("Pose", _pose(*T.xyt.tolist()), covariance)
-    moving = _make("geometry_msgs/msg/Twist", *_velocity(velocity))
-    speeds = _with_covariance("Twist", moving, NO_COVARIANCE)
-    return _bytes("nav_msgs/msg/Odometry", _header(stamp_ns, frame), child, pose, speeds)
+    above, below = _text(frame), _text(child)
+    pose = *_pose(*T.xyt.tolist()), covariance.tobytes()
+    moving = *_velocity(velocity), _NO_COVARIANCE
+    lengths = above[0], below[0]
+    return _bytes("nav_msgs/msg/Odometry", lengths, *_stamp(stamp_ns), *above, *below, *pose, *moving)
 
 
 def transforms(stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]) -> bytes:
     """tf2_msgs/TFMessage with (parent, child, (x, y, z), yaw) each."""
-    made = []
+    stamp, lengths = _stamp(stamp_ns), [len(links)]
+    values: list[Any] = [len(links)]
     for parent, child, xyz, yaw in links:
-        T = _make("geometry_msgs/msg/Transform", _vector(*xyz), _turn(yaw))
-        made.append(_make("geometry_msgs/msg/TransformStamped", _header(stamp_ns, parent), child, T))
-    return _bytes("tf2_msgs/msg/TFMessage", made)
+        above, below = _text(parent), _text(child)
+        lengths += above[0], below[0]
+        values += *stamp, *above, *below, *xyz, 0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)
+    return _bytes("tf2_msgs/msg/TFMessage", lengths, *values)
 
 
 def joint_state(frame: str, names: Sequence[str], joints: Joints) -> bytes:
     """sensor_msgs/JointState."""
-    position, velocity = np.array([joints.position, joints.velocity], dtype=np.float64)
-    header = _header(joints.stamp_ns, frame)
-    return _bytes("sensor_msgs/msg/JointState", header, list(names), position, velocity, _EMPTY)
+    place, texts, n = _text(frame), [_text(name) for name in names], len(joints.position)
+    state = n, _WHEELS.pack(*joints.position), n, _WHEELS.pack(*joints.velocity), 0, b""
+    lengths = place[0], len(texts), *(size for size, _ in texts), n, n, 0
+    header = *_stamp(joints.stamp_ns), *place
+    return _bytes("sensor_msgs/msg/JointState", lengths, *header, len(texts), *chain(*texts), *state)
 
 
 def imu(frame: str, sample: Imu, gyro_covariance: Array, acceleration_covariance: Array) -> bytes:
     """sensor_msgs/Imu without orientation; covariances (9,)."""
-    return _bytes(
-        "sensor_msgs/msg/Imu",
-        _header(sample.stamp_ns, frame),
-        _turn(0.0),
-        _UNKNOWN_ORIENTATION,
-        _vector(*sample.angular_velocity.tolist()),
-        gyro_covariance,
-        _vector(*sample.linear_acceleration.tolist()),
-        acceleration_covariance,
-    )
+    place = _text(frame)
+    turning = *sample.angular_velocity.tolist(), gyro_covariance.tobytes()
+    force = *sample.linear_acceleration.tolist(), acceleration_covariance.tobytes()
+    values = *_stamp(sample.stamp_ns), *place, *_UNKNOWN_ORIENTATION, *turning, *force
+    return _bytes("sensor_msgs/msg/Imu", place[:1], *values)
 
 
 def laser_scan(frame: str, scan: Scan) -> bytes:
     """sensor_msgs/LaserScan; its stamp is that of the first beam."""
-    lidar = scan.lidar
+    lidar, place, n = scan.lidar, _text(frame), len(scan.ranges)
     last = lidar.angle_min + (lidar.n_beams - 1) * lidar.angle_increment
     angles = lidar.angle_min, last, lidar.angle_increment
     limits = lidar.time_increment, lidar.scan_time, lidar.range_min, lidar.range_max
-    ranges, none = scan.ranges.astype(np.float32), _EMPTY.astype(np.float32)
-    header = _header(scan.stamp_ns, frame)
-    return _bytes("sensor_msgs/msg/LaserScan", header, *angles, *limits, ranges, none)
+    beams = n, scan.ranges.astype("<f4").tobytes(), 0, b""
+    lengths, header = (place[0], n, 0), (*_stamp(scan.stamp_ns), *place)
+    return _bytes("sensor_msgs/msg/LaserScan", lengths, *header, *angles, *limits, *beams)
 
 
 def twist(velocity: Twist) -> bytes:
     """geometry_msgs/Twist."""
-    return _bytes("geometry_msgs/msg/Twist", *_velocity(velocity))
+    return _bytes("geometry_msgs/msg/Twist", (), *_velocity(velocity))
 
 
 def string(text: str) -> bytes:
     """std_msgs/String."""
-    return _bytes("std_msgs/msg/String", text)
+    value = _text(text)
+    return _bytes("std_msgs/msg/String", value[:1], *value)
 
 
 def pose_stamped(frame: str, stamp_ns: int, T: SE2) -> bytes:
     """geometry_msgs/PoseStamped."""
-    return _bytes("geometry_msgs/msg/PoseStamped", _header(stamp_ns, frame), _pose(*T.xyt.tolist()))
+    place = _text(frame)
+    values = *_stamp(stamp_ns), *place, *_pose(*T.xyt.tolist())
+    return _bytes("geometry_msgs/msg/PoseStamped", place[:1], *values)
 
 
 def pose_with_covariance(frame: str, stamp_ns: int, T: SE2, covariance: Array) -> bytes:
     """geometry_msgs/PoseWithCovarianceStamped; `covariance` (3, 3) of x, y, yaw."""
-    pose = _with_covariance("Pose", _pose(*T.xyt.tolist()), planar_covariance(covariance))
-    return _bytes("geometry_msgs/msg/PoseWithCovarianceStamped", _header(stamp_ns, frame), pose)
+    place, full = _text(frame), planar_covariance(covariance).tobytes()
+    values = *_stamp(stamp_ns), *place, *_pose(*T.xyt.tolist()), full
+    return _bytes("geometry_msgs/msg/PoseWithCovarianceStamped", place[:1], *values)
 
 
 def planar_covariance(covariance: Array) -> Array:
@@ -132,39 +178,43 @@ def planar_covariance(covariance: Array) -> Array:
 
 
 def pose_array(frame: str, stamp_ns: int, poses: SE2) -> bytes:
-    """geometry_msgs/PoseArray of planar poses (n,), of which there are thousands: put together here."""
-    begun = _bytes("geometry_msgs/msg/PoseArray", _header(stamp_ns, frame), [])
+    """geometry_msgs/PoseArray of planar poses (n,)."""
+    place = _text(frame)
+    # Rows of numbers, of which there are thousands: after the front they lie as an array of doubles does.
     rows = np.zeros((len(poses.xyt), 7))
     rows[:, :2] = poses.xy
     rows[:, 5], rows[:, 6] = np.sin(0.5 * poses.yaw), np.cos(0.5 * poses.yaw)
-    # the number of poses stands last; the first one begins at a multiple of 8 after the 4 bytes of the front
-    padding = bytes(-(len(begun) - 4) % 8 if len(rows) else 0)
-    return begun[:-4] + len(rows).to_bytes(4, "little") + padding + rows.astype("<f8").tobytes()
+    begun = _bytes("geometry_msgs/msg/PoseArray", (place[0], 0), *_stamp(stamp_ns), *place, len(rows))
+    padding = bytes(-(len(begun) - len(_FRONT)) % 8 if len(rows) else 0)
+    return begun + padding + rows.astype("<f8").tobytes()
 
 
 def path(frame: str, stamp_ns: int, poses: SE2) -> bytes:
     """nav_msgs/Path of planar poses (n,)."""
-    header = _header(stamp_ns, frame)
-    stops = [_make("geometry_msgs/msg/PoseStamped", header, _pose(*row)) for row in poses.xyt.tolist()]
-    return _bytes("nav_msgs/msg/Path", header, stops)
+    place = _text(frame)
+    header, rows = (*_stamp(stamp_ns), *place), poses.xyt.tolist()
+    stops = chain(*((*header, *_pose(*row)) for row in rows))
+    lengths = place[0], len(rows), *(place[0] for _ in rows)
+    return _bytes("nav_msgs/msg/Path", lengths, *header, len(rows), *stops)
 
 
 def occupancy_grid(
     frame: str, stamp_ns: int, cells: NDArray[np.int8], resolution: float, origin: Array
 ) -> bytes:
     """nav_msgs/OccupancyGrid from (rows, cols) cells and the grid's origin (x, y, yaw)."""
-    rows, columns = cells.shape
-    corner = _pose(*origin.tolist())
-    about = _make("nav_msgs/msg/MapMetaData", _stamp(stamp_ns), resolution, columns, rows, corner)
-    return _bytes("nav_msgs/msg/OccupancyGrid", _header(stamp_ns, frame), about, cells.ravel())
+    place, stamp, (rows, columns) = _text(frame), _stamp(stamp_ns), cells.shape
+    about = *stamp, resolution, columns, rows, *_pose(*origin.tolist())
+    values = *stamp, *place, *about, cells.size, cells.tobytes()
+    return _bytes("nav_msgs/msg/OccupancyGrid", (place[0], cells.size), *values)
 
 
 def point_cloud(frame: str, stamp_ns: int, points: Array, times: Array | None = None) -> bytes:
     """sensor_msgs/PointCloud2 of points (n, 3) and, where given, times after the stamp (n,) [s]."""
-    names = ("x", "y", "z") if times is None else ("x", "y", "z", "time")
+    place, names = _text(frame), ("x", "y", "z") if times is None else ("x", "y", "z", "time")
     table = points if times is None else np.column_stack([points, times])
-    fields = [_make("sensor_msgs/msg/PointField", name, 4 * k, 7, 1) for k, name in enumerate(names)]
-    data, step = np.frombuffer(table.astype("<f4").tobytes(), dtype=np.uint8), 4 * len(names)
-    layout = False, step, step * len(points), data, True
-    header = _header(stamp_ns, frame)
-    return _bytes("sensor_msgs/msg/PointCloud2", header, 1, len(points), fields, *layout)
+    texts, data, step = [_text(name) for name in names], table.astype("<f4").tobytes(), 4 * len(names)
+    fields = chain(*((*text, 4 * k, 7, 1) for k, text in enumerate(texts)))
+    lengths = place[0], len(names), *(size for size, _ in texts), len(data)
+    layout = False, step, step * len(points), len(data), data, True
+    values = *_stamp(stamp_ns), *place, 1, len(points), len(names), *fields, *layout
+    return _bytes("sensor_msgs/msg/PointCloud2", lengths, *values)

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Self, cast
+from struct import Struct
+from typing import IO, Any, Self, cast
 
-from mcap.writer import Writer
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Message, MessageIndex
+from mcap.writer import ChunkBuilder, Writer
 
 from turtlebag.datasets.bags.topics import (
     CUSTOM_RECORD,
@@ -22,6 +27,39 @@ CHUNK_BYTES = 128 * 1024
 """A chunk is handed to the operating system when its content has this size ..."""
 CHUNK_NS = 1_000_000_000
 """... or spans this time, whichever comes first: so much is lost at the most when the writer is killed."""
+_HEAD, _INDEX_HEAD = Struct("<BQHIQQ"), Struct("<BQHI")
+"""Of a message: opcode, length of the rest, channel, sequence, log time, publish time; of an index: opcode,
+length of the rest, channel, bytes of its rows."""
+_PREFIX = 9
+"""Opcode and length, which no record's length counts."""
+
+
+class _Chunk(ChunkBuilder):
+    """mcap's own chunk, but for messages and their indices, which are packed at once."""
+
+    def add_message(self, message: Message) -> None:
+        """Append one message."""
+        channel, stamp, builder = message.channel_id, message.log_time, self.record_writer
+        index = self.message_indices.get(channel)
+        if index is None:
+            index = self.message_indices[channel] = _Index(channel, [])
+        index.records.append((stamp, builder.count))
+        self.message_start_time = min(self.message_start_time, stamp) if self.num_messages else stamp
+        self.message_end_time = max(self.message_end_time, stamp)
+        self.num_messages += 1
+        length = _HEAD.size - _PREFIX + len(message.data)
+        head = Opcode.MESSAGE, length, channel, message.sequence, stamp, message.publish_time
+        builder.write(_HEAD.pack(*head) + message.data)
+
+
+class _Index(MessageIndex):
+    """mcap's own index of a channel in a chunk, packed at once."""
+
+    def write(self, stream: RecordBuilder) -> None:
+        """Append the record."""
+        rows = np.array(self.records, dtype="<u8").tobytes()
+        head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(rows), self.channel_id, len(rows))
+        stream.write(head + rows)
 
 
 class BagFolder:
@@ -39,6 +77,8 @@ class BagFolder:
         except OSError as error:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
         self._mcap = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        # the same bytes in a third of the time; an mcap without this attribute writes its own chunks
+        cast(Any, self._mcap)._Writer__chunk_builder = _Chunk()
         self._mcap.start("ros2", "turtlebag")
         if custom:  # at the beginning, where a crash cannot take it away
             self._mcap.add_metadata(CUSTOM_RECORD, dict(custom))

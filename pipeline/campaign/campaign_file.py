@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +21,7 @@ from pydantic import (
 
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import checked, find_named, read_mapping
+from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.reports.numbers import UNITS
 
 FOLDER = Path(__file__).parents[2] / "reports" / "studies"
@@ -108,7 +110,8 @@ class Campaign(Settings):
     words and may name other factors. `stages`: command lines without `--out`, with `{factor}` and `{stage}`
     (an earlier stage's folder) in braces; `{factor:1-0.5*x}` is a number computed from the level x,
     `{factor:a|b|c}` the text that stands where the level stands among its factor's. A stage in `shared` is
-    run once for all cases that give it the same command. `results`: name -> `stage:path` in that stage's
+    run once for all cases that give it the same command; one with `command`, a list of words, is somebody
+    else's program, which writes into `{out}`. `results`: name -> `stage:path` in that stage's
     metrics.json, or `{at: stage:path, label: ..., unit: ...}`. `against`: the level that `compare`'s other
     levels are paired with.
     """
@@ -119,7 +122,7 @@ class Campaign(Settings):
     bags: list[str] = Field([])
     factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
     sample: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = None
-    stages: dict[str, str]
+    stages: dict[str, str | ProgramRequest]
     shared: list[str] = Field([])
     results: dict[str, Result]
     compare: str | None = None
@@ -136,6 +139,23 @@ class Campaign(Settings):
     def factor_names(self) -> list[str]:
         """All factors, the bags first."""
         return [*([BAG] if self.bags else []), *self.factors]
+
+    @property
+    def stage_texts(self) -> dict[str, str]:
+        """What each stage is told, in one text."""
+        return {
+            name: stage if isinstance(stage, str) else " ".join(words_of(stage))
+            for name, stage in self.stages.items()
+        }
+
+    @property
+    def programs(self) -> dict[str, str]:
+        """The commands of stages that run somebody else's program."""
+        return {
+            name: shlex.join(stage.command)
+            for name, stage in self.stages.items()
+            if isinstance(stage, ProgramRequest)
+        }
 
     @property
     def names(self) -> dict[str, tuple[str, str]]:
@@ -184,7 +204,7 @@ class Campaign(Settings):
 
     def _outputs_are_the_campaigns(self) -> None:
         """No stage says where it writes to."""
-        texts = {f"stages.{stage}": line for stage, line in self.stages.items()}
+        texts = {f"stages.{stage}": line for stage, line in self.stages.items() if isinstance(line, str)}
         for name, levels in self.factors.items():
             if isinstance(levels, dict):
                 texts |= {f"factors.{name}.{level}": text for level, text in levels.items()}
@@ -208,6 +228,12 @@ class Campaign(Settings):
             return
         if self.against not in levels_of(compared):
             raise ValueError(f"against: {self.against} is not a level of {self.compare}")
+
+
+def words_of(program: ProgramRequest) -> list[str]:
+    """A program's command, and what it reads and leaves."""
+    more = {name: value for name, value in dict(program).items() if name != "command"}
+    return [*program.command, *(f"{name}={value}" for name, value in more.items() if value is not None)]
 
 
 def levels_of(levels: Levels) -> list[Scalar]:

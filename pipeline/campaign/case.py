@@ -21,6 +21,7 @@ from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.cases import Case, with_places
 from turtlebag.pipeline.campaign.store import Store
+from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 from turtlebag.reports.numbers import lookup
@@ -183,7 +184,9 @@ class _Work:
         bag = {BAG: self._bag} if any(f"{{{BAG}}}" in word for word in words) else {}
         places = {**self._places, **bag}
         request = self._case.requests[stage].moved(lambda one: type(one)(with_places(str(one), places)))
-        command = ["turtlebag", *(with_places(word, places) for word in words), "--out", str(out)]
+        command = [with_places(word, places) for word in words]
+        if not isinstance(request, ProgramRequest):
+            command = ["turtlebag", *command, "--out", str(out)]
         told, said = io.StringIO(), io.StringIO()
         code = None
         try:

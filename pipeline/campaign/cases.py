@@ -10,7 +10,8 @@ import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
@@ -25,11 +26,14 @@ from turtlebag.pipeline.campaign.campaign_file import (
     Scalar,
     Uniform,
     levels_of,
+    words_of,
 )
 from turtlebag.pipeline.stages.command_line import read
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
 
+OUT = "out"
+"""In braces in a program's command: the folder that it writes into."""
 PLACE = re.compile(r"\{([^{}]*)\}")
 Reader = Callable[[Sequence[str]], Request]
 """Makes a request of a command line; InputError for one that makes none."""
@@ -77,7 +81,7 @@ def _require_used(campaign: Campaign) -> None:
     levels = [
         text for factor in campaign.factors.values() if isinstance(factor, dict) for text in factor.values()
     ]
-    texts = " ".join([*campaign.stages.values(), *levels])
+    texts = " ".join([*campaign.stage_texts.values(), *levels])
     for name in campaign.factor_names:
         if not re.search(rf"{{{re.escape(name)}[}}:]", texts):
             raise InputError(f"factors.{name}: no stage uses it; write {{{name}}} in a command or remove it")
@@ -148,15 +152,24 @@ def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str, read:
             text = levels[str(chosen[name])]
             texts[name] = _filled(text, {**others, **places}, f"{name}.{chosen[name]}")
     commands: dict[str, list[str]] = {}
-    for stage, line in campaign.stages.items():
-        words = _words(_filled(line, {**texts, **places}, f"stages.{stage}"), stage)
+    requests: dict[str, Request] = {}
+    for stage, told in campaign.stages.items():
+        where, known_there = f"stages.{stage}", {**texts, **places}
+        if isinstance(told, str):
+            words = _words(_filled(told, known_there, where), stage)
+            if words:  # a stage may have nothing to do for some levels
+                commands[stage], requests[stage] = words, _request(stage, words, read)
+        else:
+            program = told.moved(partial(_in_program, values={**known_there, OUT: f"{{{OUT}}}"}, where=where))
+            commands[stage], requests[stage] = words_of(program), program
         places[stage] = f"{{{stage}}}"
-        if words:  # a stage may have nothing to do for some levels
-            commands[stage] = words
     known = [chosen, commands, *([bag_version] if bag_version else [])]
     digest = hashlib.sha256(json.dumps(known).encode()).hexdigest()
-    requests = {stage: _request(stage, words, read) for stage, words in commands.items()}
     return Case(digest[:16], chosen, commands, requests, bag_version)
+
+
+def _in_program(text: str | Path, values: dict[str, Any], where: str) -> str | Path:
+    return type(text)(_filled(str(text), values, where))
 
 
 def _request(stage: str, words: Sequence[str], read: Reader) -> Request:

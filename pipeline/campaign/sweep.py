@@ -50,15 +50,20 @@ def sweep(
     store: str | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
+    allow_commands: bool = False,
 ) -> int:
     """Run what is left of a campaign, each stage by `run`, and write its results to `out`; 1 when any case
     failed, or a result is in none of them.
 
+    `allow_commands`: also stages that run somebody else's program.
     Of the command lines in the file `read` makes the requests, of all before any case runs. Workers keep what
     they make in `store`, which is `out` itself where no URL is given. It grows in `OUT.partial` and stays
     there when it is stopped: the same command goes on with it.
     """
     campaign = load_campaign(campaign_name)
+    for stage, command in campaign.programs.items():
+        if not allow_commands:
+            raise InputError(f"{campaign_name}: stages.{stage} runs `{command}`; --allow-commands allows it")
     try:
         todo = cases(campaign, read)
     except InputError as error:

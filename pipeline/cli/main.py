@@ -30,6 +30,7 @@ VERBS = {
     "map": "build a map from a bag or log",
     "localise": "localise a recorded robot on a map",
     "identify": "estimate the parameters of a robot from a recording of it",
+    "twin": "make a twin of a recording: its building and its robot, and drive it again",
     "navigate": "run a task in closed loop: patrol, goal, avoid or explore",
     "plan": "plan a path on a map",
     "report": "make an HTML report from the outputs of other commands",
@@ -42,7 +43,7 @@ VERBS = {
     "doctor": "check the installation",
     "completion": "print a script that completes commands in your shell",
 }
-STAGES = ("record", "teleop", "map", "localise", "identify", "navigate", "plan", "report", "compare")
+STAGES = ("record", "teleop", "map", "localise", "identify", "twin", "navigate", "plan", "report", "compare")
 
 EXIT_OK, EXIT_INPUT = 0, 2
 

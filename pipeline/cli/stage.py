@@ -9,7 +9,7 @@ from turtlebag.pipeline.cli.arguments import output
 from turtlebag.pipeline.stages.command_line import add_request, request_of
 from turtlebag.pipeline.stages.parser import Parser
 from turtlebag.pipeline.stages.requests.table import REQUESTS
-from turtlebag.pipeline.terminal.messages import say
+from turtlebag.pipeline.terminal.messages import say, starting
 
 
 def example(verb: str) -> str:
@@ -33,6 +33,8 @@ def inputs(args: argparse.Namespace) -> list[Path]:
 
 def run(args: argparse.Namespace) -> int:
     """Run the stage; what it found is printed of pages and comparisons."""
+    if args.out is not None:
+        starting()
     from turtlebag.pipeline.stages.run import run as run_stage
 
     if args.verb == "compare":

@@ -21,6 +21,7 @@ def add_arguments(parser: Parser) -> None:
     text = "address of a running Dask scheduler (tcp://...), or `threads` to run in this process"
     parser.option("--scheduler", "ADDRESS", text)
     parser.option("--workers", "N", "local processes (default: one per core)", count)
+    parser.flag("--allow-commands", "run the programs that the campaign file names; read it first")
     text = "run an SQL query on the table `runs` of a finished campaign; FILE is then its folder or its store"
     parser.option("--query", "SQL", text)
 
@@ -28,7 +29,7 @@ def add_arguments(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the campaign and print its page's path, or answer a query."""
     if args.query is not None:
-        running = ("out", "force", "store", "scheduler", "workers")
+        running = ("out", "force", "store", "scheduler", "workers", "allow_commands")
         refuse(args, running, "cannot be used with --query; remove it")
         return _answer(args.campaign, args.query)
     if args.out is None:
@@ -41,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
         store=args.store,
         scheduler=args.scheduler,
         workers=args.workers,
+        allow_commands=args.allow_commands,
     )
     print(args.out / "index.html")
     return code

@@ -16,7 +16,7 @@ def add_arguments(parser: Parser) -> None:
     text = "list the built-in worlds, robots and teleop scripts"
     add_action(actions, "list", text, "turtlebag world list").set_defaults(run=_list)
     show = add_action(actions, "show", "draw a world as a PNG", EXAMPLE)
-    show.option("world", "W", "world: a name or a YAML or SDF file")
+    show.option("world", "W", "world: a name, a YAML or SDF file, or a map")
     show.option("--robot", "R", "robot whose lidar height is drawn (default: the world's own)")
     show.add_output("picture to write", what="PNG")
     show.set_defaults(run=_show)

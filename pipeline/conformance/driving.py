@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -28,14 +27,14 @@ from turtlebag.pipeline.conformance.trial_room import (
 )
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver import Task
-from turtlebag.pipeline.navigation.driver_setup import Mission, Request
-from turtlebag.pipeline.navigation.drivers import Kit
+from turtlebag.pipeline.navigation.kit import Kit
+from turtlebag.pipeline.navigation.mission import Mission, Request
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.controller import Controller
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
-from turtlebag.planners.global_plan import PlanConfig, fits
-from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan
+from turtlebag.planners.global_plan import fits
+from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, PlanConfig
 from turtlebag.planners.smoothing import path_length
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import CONTROL_HZ, SimConfig, Simulator
@@ -166,7 +165,7 @@ def _require_within(part: object, method: str, command: Twist, model: RobotModel
         raise broken(part, f"{method}: {command} is beyond the robot's limits, {limits}")
 
 
-def check_task(task: Callable[[Any, Any], Task], *, on_a_map: bool = False) -> None:
+def check_task(task: Callable[[Kit, Mission], Task], *, on_a_map: bool = False) -> None:
     """Some seconds of it in a room, with a second in which someone else drives.
 
     AssertionError in one line says what the contract, `turtlebag.pipeline.navigation.driver.Task`, asks.
@@ -185,7 +184,7 @@ def _require_task(one: Task, observation: Observation, command: object) -> None:
         raise broken(one, "step: its sensing must get every observation")
 
 
-def _run(task: Callable[[Any, Any], Task], on_a_map: bool) -> Array:
+def _run(task: Callable[[Kit, Mission], Task], on_a_map: bool) -> Array:
     """Its commands (n, 2); AssertionError where it touches something."""
     world, robot = room(), load_robot("burger")
     config = NavigateConfig(sim=SimConfig().resolved(robot))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.loops.matcher import LoopMatch, Stretch
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track, TrackingConfig
-from turtlebag.pipeline.slam.odometry.tracker import Tracker
+from turtlebag.pipeline.slam.odometry.tracker import Maker, Tracker
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import Clouds, make_clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
@@ -44,7 +43,7 @@ EMPTY, GAP, BACK, HOSTILE = (12, 13), 24, 34, 40
 """Of so many scans: those without return, the first after a gap of 10 s, and one stamped before the last."""
 
 
-def check_front_end(front_end: Callable[[Any], FrontEnd], *, without_odometry: bool = True) -> None:
+def check_front_end(front_end: Maker, *, without_odometry: bool = True) -> None:
     """A lap of a room, with odometry and without, with scans that saw nothing, and a gap.
 
     AssertionError in one line says what the contract asks
@@ -70,7 +69,7 @@ def _bytes_of(track: Track) -> bytes:
     return bytes_of(track.T_track_base.xyt, track.information, track.overlap, track.rmse)
 
 
-def _tracked(front_end: Callable[[Any], FrontEnd], recording: Recording) -> Track:
+def _tracked(front_end: Maker, recording: Recording) -> Track:
     """What it makes of a log; AssertionError where it changes what it is given or returns no `Placed`."""
     clouds = make_clouds(recording, LIDAR.range_max)
     odometry = np.zeros(0) if recording.T_odom_base is None else recording.T_odom_base.xyt
@@ -116,7 +115,7 @@ class _Checked(FrontEnd):
         return placed
 
 
-def _check_hostile(front_end: Callable[[Any], FrontEnd], recording: Recording, said: str) -> None:
+def _check_hostile(front_end: Maker, recording: Recording, said: str) -> None:
     """Scans without a point, a gap, and a stamp that goes back."""
     steps = recording.T_odom_base and recording.T_odom_base[:HOSTILE]
     ranges, stamps = recording.ranges[:HOSTILE].copy(), recording.stamps_ns[:HOSTILE].copy()

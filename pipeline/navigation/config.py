@@ -10,13 +10,13 @@ from turtlebag.datasets.parts import part_of
 from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.localisation.localisers import LocaliserName
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.navigation.explore_driver import ExploreConfig
 from turtlebag.pipeline.navigation.pose_watch import RelocaliseConfig
 from turtlebag.pipeline.navigation.teleop_override import TeleopOverrideConfig
+from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig
-from turtlebag.planners.global_plan import PlanConfig
+from turtlebag.planners.planner import PlanConfig
 from turtlebag.planners.tasks.patrol import SequenceConfig
 from turtlebag.planners.tasks.recovery import RecoveryConfig, Rung
 from turtlebag.planners.tasks.sector_rule import AvoidConfig
@@ -31,6 +31,7 @@ class MaplessConfig(Settings, allow_inf_nan=False):
     window: float = Field(default=16.0, ge=4.0, le=100.0)
     """Side of the rolling window [m]; what leaves it is forgotten."""
     controller: ControllerName = "dwa"
+    """Controller of goals without a map: `pursuit`, `dwa`, or your own class."""
     recovery: RecoveryConfig = RecoveryConfig(
         ladder=(
             Rung(kind="back_up", amount=0.25),
@@ -48,6 +49,12 @@ class MaplessConfig(Settings, allow_inf_nan=False):
     """Replaces `recovery`: in unknown surroundings, backing out comes before waiting."""
 
 
+class ExploreConfig(Settings, allow_inf_nan=False):
+    """Mapping during exploration."""
+
+    slam: SlamConfig = SlamConfig()
+
+
 class NavigateConfig(Settings, allow_inf_nan=False):
     """The settings of `navigate`, one section per component."""
 
@@ -60,6 +67,7 @@ class NavigateConfig(Settings, allow_inf_nan=False):
     mapless: MaplessConfig = MaplessConfig()
     plan: PlanConfig = PlanConfig()
     controller: ControllerName = "pursuit"
+    """Controller on a map: `pursuit`, `dwa`, or your own class."""
     dwa: DwaConfig = DwaConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()

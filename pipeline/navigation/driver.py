@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
 from turtlebag.pipeline.navigation.goal_states import State
+from turtlebag.pipeline.navigation.kit import Kit
+from turtlebag.pipeline.navigation.mission import Mission
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 
@@ -30,10 +32,8 @@ class Task(Protocol):
     estimate: SE2 | None
     """The estimated pose on the map; None if unknown, or without a map."""
 
-    def __init__(self, kit: Any, mission: Any) -> None:
-        """`kit` holds the components of a driver (`turtlebag.pipeline.navigation.drivers.Kit`), `mission` the
-        command's options and the map, if there is one (`turtlebag.pipeline.navigation.driver_setup.Mission`).
-        """
+    def __init__(self, kit: Kit, mission: Mission) -> None:
+        """`kit` holds the components of a driver, `mission` the command's options and the map, if any."""
         ...
 
     def step(self, observation: Observation) -> Twist:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import LONGEST_S
@@ -18,7 +16,6 @@ from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.pipeline.navigation.drivers import (
-    Kit,
     make_avoider,
     make_explorer,
     make_mapless,
@@ -26,11 +23,13 @@ from turtlebag.pipeline.navigation.drivers import (
 )
 from turtlebag.pipeline.navigation.goal_states import State
 from turtlebag.pipeline.navigation.initial_pose import require_free, require_on_map
+from turtlebag.pipeline.navigation.kit import Kit
+from turtlebag.pipeline.navigation.mission import Mission, Request
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.teleop_override import load_script
 from turtlebag.pipeline.terminal.messages import log_notes, note_degrees
-from turtlebag.planners.costmap import Area, Costmap, costmap_from_grid
+from turtlebag.planners.costmap import Area, costmap_from_grid
 from turtlebag.planners.tasks.patrol import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from turtlebag.sim.robots import RobotSpec
@@ -40,42 +39,6 @@ DEFAULT_DURATION_S, DEFAULT_EXPLORE_S, MAX_SIMULATED_S = 60.0, 1800.0, 4 * 3600.
 MAX_LAPS = 1000
 SINGLE_GOAL = {"initial_wait": 0.0, "timeout": 600.0}
 """Of a sequence's configuration, what is other for a goal that is not one of many."""
-
-
-@dataclass(frozen=True, eq=False)
-class Request:
-    """The options of a run. `initial_pose` is a pose, `start`, `global`, or None (no initial pose)."""
-
-    task: str
-    """goal, patrol, avoid or explore, or a user's `Task` class."""
-    seed: int
-    map_path: Path | None = None
-    start: SE2 | None = None
-    initial_pose: SE2 | Literal["start", "global"] | None = None
-    goal: SE2 | None = None
-    waypoints_path: Path | None = None
-    laps: int | None = None
-    timeout_s: float | None = None
-    duration_s: float | None = None
-    wiggle: bool = False
-    teleop_override: Literal["keyboard"] | Path | None = None
-    """Source of overrides: the keyboard, or a file of intervals instead of the configured ones."""
-    keepout: tuple[Area, ...] | None = None
-    """Keep-out areas; None for the world's own."""
-    keepout_path: Path | None = None
-    """The file that the areas were read from."""
-
-
-@dataclass(frozen=True, eq=False)
-class Mission:
-    """A checked request, with map, goals and keep-out areas loaded."""
-
-    request: Request
-    config: NavigateConfig
-    robot: RobotSpec
-    grid: OccupancyGrid | None
-    costmap: Costmap | None
-    waypoints: tuple[Waypoint, ...]
 
 
 def prepare(

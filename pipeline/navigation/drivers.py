@@ -3,78 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.parts import find
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.types import MountedLidar
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.localisers import make_localiser
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
 from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
-from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
-from turtlebag.pipeline.navigation.goal_runner import Tools
 from turtlebag.pipeline.navigation.goal_states import Machine, State
 from turtlebag.pipeline.navigation.guarded_avoidance import GuardedAvoidance
+from turtlebag.pipeline.navigation.kit import Kit
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.pose_watch import PoseWatch
 from turtlebag.pipeline.navigation.relocalisation import Relocaliser
-from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.planners.control.collision_monitor import CollisionMonitor
-from turtlebag.planners.control.controller import Controller
-from turtlebag.planners.control.dwa import Dwa
 from turtlebag.planners.control.goal_checker import PASSING
-from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.rolling_costmap import RollingLayer
 from turtlebag.planners.tasks.patrol import GoalSequence
-from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
 # Without a map: cells of the window, how far off its centre the robot may be (not measured); plans keep
 # farther off: with the distance of plans on a map BARN 1011 ran into a wall.
 WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_INFLATION_M = 0.05, 1.0, 0.6
-
-
-@dataclass(frozen=True, eq=False)
-class Kit:
-    """What every driver of a run is made of. `config.sim` is resolved for the robot."""
-
-    robot: RobotSpec
-    config: NavigateConfig
-    seed: int
-    sensing: Sensing
-    publisher: BagWriter
-
-    def lidars(self) -> tuple[MountedLidar, ...]:
-        """The robot's planar lidars as they are simulated."""
-        lidar = self.config.sim.lidar
-        return self.robot.mounted(lidar.turning, lidar.rate_hz)
-
-    def tools(self, obstacles: ObstacleLayer, config: NavigateConfig | None = None) -> Tools:
-        """Controller and monitor, on the obstacle layer; `config` in place of the kit's own."""
-        config, model = config or self.config, self.robot.model
-        return Tools(
-            model=model,
-            controller=make_controller(self.robot, config),
-            monitor=CollisionMonitor(model),
-            obstacles=obstacles,
-            plan=config.plan,
-            checker=config.goal_checker,
-            recovery=config.recovery,
-            publisher=self.publisher,
-            seed=int(stream(self.seed, "plan").integers(2**31)),
-        )
 
 
 def make_navigator(
@@ -123,13 +81,3 @@ def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
 def make_avoider(kit: Kit, end_s: float, say: Callable[[str], None]) -> AvoidDriver:
     """A driver that avoids obstacles, until a stamp [s]; `say` receives each decision."""
     return AvoidDriver(kit.config.avoid, kit.robot.model, kit.sensing, end_s, say)
-
-
-def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
-    """The configured local controller; InputError if it cannot be loaded."""
-    if config.controller == "dwa":
-        return Dwa(robot.model, config.dwa, PERIOD_S)
-    if config.controller == "pursuit":
-        return Pursuit(robot.model, PERIOD_S)
-    own: Controller = find(config.controller, Controller)(robot.model, PERIOD_S)
-    return own

@@ -13,14 +13,16 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.ground_truth import known_truth
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.navigation.command_owner import CommandOwner
 from turtlebag.pipeline.navigation.driver import Task
-from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S, Mission, make_driver
+from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S, make_driver
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import measured
+from turtlebag.pipeline.navigation.mission import Mission
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.status_lines import News
-from turtlebag.pipeline.navigation.teleop_override import CommandOwner, Interval, Script, Source, load_script
+from turtlebag.pipeline.navigation.teleop_override import Interval, Script, Source, load_script
 from turtlebag.planners.control.collision_monitor import CollisionMonitor
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.robots import static_transforms

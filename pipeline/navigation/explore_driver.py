@@ -10,7 +10,6 @@ import numpy as np
 from turtlebag.datasets.durations import nanoseconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.bump_reflex import BumpReflex
 from turtlebag.pipeline.navigation.driver import Driver
@@ -19,7 +18,6 @@ from turtlebag.pipeline.navigation.goal_states import State, Suspension
 from turtlebag.pipeline.navigation.obstacle_memory import ObstacleMemory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
-from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.planners.control.collision_monitor import PADDING_M
 from turtlebag.planners.control.goal_checker import STOPPED_V
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
@@ -28,12 +26,6 @@ from turtlebag.planners.tasks.frontier import next_view
 
 LOOK_AFTER_S = 12.0
 """The map is made anew after this long on the way to one place, too."""
-
-
-class ExploreConfig(Settings, allow_inf_nan=False):
-    """Mapping during exploration."""
-
-    slam: SlamConfig = SlamConfig()
 
 
 @dataclass

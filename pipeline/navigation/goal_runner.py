@@ -23,9 +23,9 @@ from turtlebag.planners.footprint import (
     path_clearance,
     sample_footprint,
 )
-from turtlebag.planners.global_plan import PlanConfig, plan_path
+from turtlebag.planners.global_plan import plan_path
 from turtlebag.planners.obstacle_layer import ON_MAP, ObstacleLayer
-from turtlebag.planners.planner import NoPath
+from turtlebag.planners.planner import NoPath, PlanConfig
 from turtlebag.planners.tasks.patrol import Status
 from turtlebag.planners.tasks.recovery import PROGRESS_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
 

@@ -8,7 +8,7 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.runlog import Row, RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Trajectory
-from turtlebag.pipeline.navigation.teleop_override import CommandOwner
+from turtlebag.pipeline.navigation.command_owner import CommandOwner
 from turtlebag.sim.simulator import Simulator
 
 

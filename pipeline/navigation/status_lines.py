@@ -11,7 +11,7 @@ from itertools import groupby
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.plurals import counted
-from turtlebag.pipeline.navigation.teleop_override import CommandOwner
+from turtlebag.pipeline.navigation.command_owner import CommandOwner
 from turtlebag.pipeline.terminal.messages import Simulated, length
 from turtlebag.planners.tasks.patrol import GoalOutcome, GoalSequence
 from turtlebag.planners.tasks.sector_rule import in_words

@@ -12,7 +12,7 @@ from pathlib import Path
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.navigation.driver_setup import Request
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.pipeline.stages.record import Scene, record

@@ -1,10 +1,9 @@
 """Occupancy grid from posed scans: hits and misses along every beam, also those without return.
 
 The reflectance model of Haehnel (2004), in the line of Moravec and Elfes (1985): a cell is occupied when
-enough of the beams that met it were returned by it. Unlike summed log-odds this
-keeps a wall that many beams graze. Beams without return (+inf) clear in a second pass, up to the first
-surface. Cells are rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed or counted
-twice.
+enough of the beams that met it were returned by it. Unlike summed log-odds this keeps a wall that many beams
+graze. Beams without return (+inf) clear in a second pass, up to the first surface. Cells are rastered exactly
+(Amanatides and Woo 1987), so no cell a beam crosses is missed or counted twice.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -27,6 +26,7 @@ from turtlebag.datasets.motion import known_motion
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, MountedLidar, Recording
+from turtlebag.pipeline.slam.thin_walls import BEHIND_CELLS, thin
 
 MAX_COUNTED = 400_000_000
 """Cells for counting beams; most are cut off when the map is trimmed to its known part."""
@@ -34,14 +34,12 @@ MAX_COUNTED = 400_000_000
 BAND_CELLS = 2_000_000
 # Cells with fewer beams than this are not used for the quality of a map.
 MIN_MET = 3
-# Returns of a distant wall scatter over this many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
-BEHIND_CELLS = 3
 
 
 class OccupancyConfig(Settings):
     """The occupancy grid."""
 
-    resolution_m: float = Field(default=0.05, ge=0.001, le=1.0)
+    resolution_m: float = Field(default=0.05, ge=0.001, le=1.0, description="side of a cell")
     occupied_share: float = Field(
         default=0.25,
         gt=0.0,
@@ -68,17 +66,16 @@ class OccupancyConfig(Settings):
 
 
 class CheckedGrid(NamedTuple):
-    """A grid, how certain its cells are as a whole, and the `confidence` of each (rows, cols): the
-    probability that it is as it is drawn, 0 where it is unknown."""
+    """A grid, how certain its cells are as a whole, and the `confidence` of each (rows, cols), as
+    `cell_confidence` gives it."""
 
     grid: OccupancyGrid
     certainty: Certainty
-    confidence: Array
+    confidence: NDArray[np.uint8]
 
 
 class Counts(NamedTuple):
-    """For each cell (rows, cols), the number of beams that it returned, and of those that passed through
-    it."""
+    """For each cell (rows, cols), how many beams it returned, and how many passed through it."""
 
     hits: NDArray[np.uint16]
     misses: NDArray[np.uint16]
@@ -86,7 +83,7 @@ class Counts(NamedTuple):
     @classmethod
     def none(cls, rows: int, cols: int) -> Counts:
         """No beams so far."""
-        return cls(np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16))
+        return cls(*np.zeros((2, rows, cols), dtype=np.uint16))
 
 
 @dataclass(frozen=True)
@@ -140,17 +137,24 @@ def make_checked_grid(
     grid = trimmed(classify(counts, config), corner, config)
     col, row = np.rint(grid.T_map_grid.xy / resolution - corner).astype(int)
     kept = (slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1]))
-    confidence = cell_confidence(grid.cells, counts.hits[kept], counts.misses[kept], config.occupied_share)
+    confidence = cell_confidence(grid.cells, Counts(*(c[kept] for c in counts)), config.occupied_share)
     return CheckedGrid(grid, certainty(counts, config.min_hits), confidence)
 
 
-def cell_confidence(
-    cells: NDArray[np.int8], hits: NDArray[np.uint16], misses: NDArray[np.uint16], occupied_share: float
-) -> Array:
-    """The probability that each cell (rows, cols) is as it is drawn: that of many more beams it would return
-    `occupied_share`, or fewer where it is free (Beta distribution, Jeffreys' prior)."""
-    free = scipy.special.betainc(hits + 0.5, misses + 0.5, occupied_share)
-    return np.asarray(np.where(cells == OCCUPIED, 1.0 - free, np.where(cells == FREE, free, 0.0)))
+def cell_confidence(cells: NDArray[np.int8], counts: Counts, occupied_share: float) -> NDArray[np.uint8]:
+    """The probability, in 255ths, that each cell (rows, cols) is as it is drawn: that of many more beams it
+    would return `occupied_share`, or fewer where it is free (Beta distribution, Jeffreys' prior); 0 where it
+    is unknown."""
+    confidence = np.zeros(cells.shape, dtype=np.uint8)
+    for rows in bands(cells):
+        known = cells[rows] != UNKNOWN
+        # few different numbers of hits and misses occur, so each pair of them is computed once
+        pair = counts.hits[rows][known].astype(np.uint32) << 16 | counts.misses[rows][known]
+        pairs, which = np.unique(pair, return_inverse=True)
+        free = scipy.special.betainc((pairs >> 16) + 0.5, (pairs & 0xFFFF) + 0.5, occupied_share)
+        surely = np.rint(255.0 * free).astype(np.uint8)[which]
+        confidence[rows][known] = np.where(cells[rows][known] == OCCUPIED, 255 - surely, surely)
+    return confidence
 
 
 class View(NamedTuple):
@@ -177,7 +181,8 @@ def _views(recording: Recording, T_map_base: SE2, config: OccupancyConfig, usabl
 def certainty(counts: Counts, min_hits: int) -> Certainty:
     """How well the beams agree on the cells: a wall that is drawn twice is seen through, and so uncertain."""
     sums = np.zeros(4)
-    for hits, misses in bands(counts):
+    for rows in bands(counts.hits):
+        hits, misses = counts.hits[rows], counts.misses[rows]
         met = hits.astype(np.int32) + misses
         known = met >= MIN_MET
         share, walls = hits[known] / met[known], hits[known] >= min_hits
@@ -190,12 +195,11 @@ def certainty(counts: Counts, min_hits: int) -> Certainty:
     return Certainty(entropy_nats / cells / math.log(2.0), wall_share)
 
 
-def bands(counts: Counts) -> Iterator[Counts]:
-    """The counts in bands of rows, each small: what is computed of all cells at once takes much memory."""
-    rows, cols = counts.hits.shape
+def bands(cells: NDArray[Any]) -> Iterator[slice]:
+    """Rows of cells (rows, cols) in small bands: what is computed of all at once takes much memory."""
+    rows, cols = cells.shape
     height = max(1, BAND_CELLS // max(cols, 1))
-    for row in range(0, rows, height):
-        yield Counts(counts.hits[row : row + height], counts.misses[row : row + height])
+    yield from (slice(row, row + height) for row in range(0, rows, height))
 
 
 def beam_lengths(
@@ -218,68 +222,14 @@ def beam_lengths(
 
 def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
     """Occupied, free or unknown: equation (6) of docs/how-it-maps.md, and walls thinned."""
-    cells, row = np.full(counts.hits.shape, UNKNOWN, dtype=np.int8), 0
-    for hits, misses in bands(counts):
-        band, seen = cells[row : row + len(hits)], hits.astype(np.int32) + misses
-        band[misses > 0] = FREE
+    cells = np.full(counts.hits.shape, UNKNOWN, dtype=np.int8)
+    for rows in bands(cells):
+        hits, band = counts.hits[rows], cells[rows]
+        seen = hits.astype(np.int32) + counts.misses[rows]
+        band[seen > hits] = FREE
         band[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
-        row += len(hits)
-    return thinned(cells, counts.hits, config.behind_share, config.before_share)
-
-
-@njit(cache=True)
-def thinned(
-    cells: NDArray[np.int8], hits: NDArray[np.uint16], behind: float, before: float
-) -> NDArray[np.int8]:
-    """Walls as thin as the range noise allows: of two occupied cells one behind the other the weaker goes.
-
-    A cell behind a wall (no free neighbour) becomes unknown when one that does face free space, at most
-    BEHIND_CELLS before it with nothing free between, was hit more than 1 / `behind` times as often: its
-    hits overshot. A cell that faces free space becomes free when the occupied one right behind it was hit
-    more than 1 / `before` times as often: its hits fell short. Where both are hit alike the surface lies on
-    their border, and both stay.
-    """
-    rows, cols = cells.shape
-    out = cells.copy()
-    for row in range(rows):
-        for col in range(cols):
-            if cells[row, col] != OCCUPIED or beside(cells, row, col, FREE):
-                continue
-            for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                r, c = row, col
-                for _ in range(BEHIND_CELLS):
-                    r, c = r + dr, c + dc
-                    if not (0 <= r < rows and 0 <= c < cols) or cells[r, c] == FREE:
-                        break
-                    wall = cells[r, c] == OCCUPIED and beside(cells, r, c, FREE)
-                    if wall and hits[row, col] < behind * hits[r, c]:
-                        out[row, col] = UNKNOWN
-                        break
-    kept = out.copy()
-    for row in range(1, rows - 1):
-        for col in range(1, cols - 1):
-            # a cell next to unknown space closes the wall and stays
-            if kept[row, col] != OCCUPIED or beside(kept, row, col, UNKNOWN):
-                continue
-            for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                r, c = row + dr, col + dc
-                if cells[row - dr, col - dc] != FREE or kept[r, c] != OCCUPIED:
-                    continue
-                if hits[row, col] < before * hits[r, c]:
-                    out[row, col] = FREE
-    return out
-
-
-@njit(cache=True)
-def beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
-    """Whether one of the four neighbours is `what`."""
-    rows, cols = cells.shape
-    return (
-        (row > 0 and cells[row - 1, col] == what)
-        or (row < rows - 1 and cells[row + 1, col] == what)
-        or (col > 0 and cells[row, col - 1] == what)
-        or (col < cols - 1 and cells[row, col + 1] == what)
-    )
+    thin(cells, counts.hits, config.behind_share, config.before_share)
+    return cells
 
 
 def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:

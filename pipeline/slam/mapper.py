@@ -119,12 +119,12 @@ class SlamConfig(Settings):
 @dataclass(frozen=True, eq=False)
 class SlamResult:
     """A pose per scan in file order, the `covariance` of each (n, 3, 3), the grid, the `confidence` in each
-    of its cells (rows, cols), and their session."""
+    of its cells (rows, cols) in 255ths, and their session."""
 
     trajectory: Trajectory
     covariance: Array
     grid: OccupancyGrid
-    confidence: Array
+    confidence: NDArray[np.uint8]
     check: SelfCheck
     session: Session
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
@@ -54,7 +54,7 @@ class Places:
 
     def __init__(self, keys: Keys, T_map_keys: Array, voxel: float) -> None:
         self._keys, self.T_map_keys, self._voxel = keys, T_map_keys, voxel
-        self._tree = cKDTree(T_map_keys[:, :3, 3])
+        self._tree = scipy.spatial.cKDTree(T_map_keys[:, :3, 3])
         self._last: tuple[int, Surfels] | None = None
 
     def nearest(self, T_map: Array) -> int:

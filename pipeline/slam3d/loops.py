@@ -45,6 +45,7 @@ class Loop3dConfig(Settings):
     """Loop closure."""
 
     enabled: bool = True
+    """Close loops."""
     appearance: bool = Field(default=True, description="look for places beyond the gate by scan context")
     every: int = Field(default=3, gt=0, description="keys between queries")
 

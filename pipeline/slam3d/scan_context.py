@@ -8,8 +8,8 @@ the robot), and the sectors compare them at their best shift.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from turtlebag.datasets.se2 import Array
 
@@ -57,7 +57,7 @@ class Contexts:
 
     def like(self, index: int, allowed: NDArray[np.int64], count: int, most: float) -> list[int]:
         """The `count` most similar of the `allowed` places, best first; none less similar than `most`."""
-        tree = cKDTree(self._ring_keys[allowed])
+        tree = scipy.spatial.cKDTree(self._ring_keys[allowed])
         near = np.atleast_1d(tree.query(self._ring_keys[index], k=min(10 * count, len(allowed)))[1])
         compared = sorted((dissimilarity(self._all[k], self._all[index]), int(k)) for k in allowed[near])
         return [k for distance, k in compared[:count] if distance <= most]

@@ -60,7 +60,7 @@ def build_map(
     slam_s = watch.seconds()
     metrics = _metrics(made, references)
     with out.staged() as folder:
-        _save(made, folder, named)
+        save_mapped(made, folder, named)
         read = {**inputs.files(), **references.inputs, **source_files(made.manifest.get("parts", {}))}
         pace = {"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
         out.finish(
@@ -92,7 +92,7 @@ def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explai
     if inputs.continued is not None and earlier is not None:
         notes += require_same_front_end(inputs.continued, earlier[1], settled)
     log_notes(notes)
-    return _map_scans(recordings, settled, earlier and earlier[0], edits, explain=explain)
+    return map_scans(recordings, settled, earlier and earlier[0], edits, explain=explain)
 
 
 def _metrics(made: Mapped, references: References) -> Mapping[str, object]:
@@ -102,7 +102,7 @@ def _metrics(made: Mapped, references: References) -> Mapping[str, object]:
     return {**summary(made.recording, made.result), **made.metrics, **errors, **with_truth}
 
 
-def _save(made: Mapped, folder: Path, named: str | None) -> None:
+def save_mapped(made: Mapped, folder: Path, named: str | None) -> None:
     """All files of a map but its metrics and settings."""
     for name in ("map", *([] if named is None else [named])):
         save_map(made.result.grid, folder, name)
@@ -111,7 +111,7 @@ def _save(made: Mapped, folder: Path, named: str | None) -> None:
     made.write(folder)
 
 
-def _map_scans(
+def map_scans(
     recordings: list[Recording], config: SlamConfig, earlier: Session | None, edits: Edits, *, explain: bool
 ) -> Mapped:
     """Map planar scans, all of them or joined to an earlier map."""

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from turtlebag.datasets.bags.footprint import footprint_text
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -17,8 +18,9 @@ from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, Mission, Request, prepare
+from turtlebag.pipeline.navigation.driver_setup import DEFAULT_DURATION_S, prepare
 from turtlebag.pipeline.navigation.episode import Audience, Episode, drive
+from turtlebag.pipeline.navigation.mission import Mission, Request
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import save_truth
@@ -53,7 +55,7 @@ def navigate(
     """
     mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
-    custom = _of_bag(world, request, config_text(mission.config))
+    custom = _of_bag(world, mission)
     known_s = request.duration_s or DEFAULT_DURATION_S
     by_hand = request.teleop_override == "keyboard"
     with (
@@ -92,13 +94,14 @@ def navigate(
     return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
 
 
-def _of_bag(world: World, request: Request, config: str) -> dict[str, str]:
+def _of_bag(world: World, mission: Mission) -> dict[str, str]:
     """What the bag says of its run."""
     return {
-        "seed": str(request.seed),
-        "config_sha256": sha256_text(config),
+        "seed": str(mission.request.seed),
+        "config_sha256": sha256_text(config_text(mission.config)),
         "world": world.name,
-        "task": request.task,
+        "task": mission.request.task,
+        **footprint_text(mission.robot.model.footprint),
     }
 
 

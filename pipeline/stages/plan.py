@@ -20,9 +20,9 @@ from turtlebag.pipeline.navigation.initial_pose import require_free
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import path_clearance, sample_footprint
-from turtlebag.planners.global_plan import PlanConfig, plan_path
+from turtlebag.planners.global_plan import plan_path
 from turtlebag.planners.ompl_planner import OmplConfig, PlannerName
-from turtlebag.planners.planner import NoPath, Plan
+from turtlebag.planners.planner import NoPath, Plan, PlanConfig
 from turtlebag.sim.robots import RobotSpec
 
 

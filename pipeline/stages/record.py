@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
+from turtlebag.datasets.bags.footprint import footprint_text
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.bags.source import PACKED, SUFFIXES
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import LONGEST_S, seconds
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import save_tum
+from turtlebag.datasets.true_maps import save_true_map
 from turtlebag.datasets.types import Observation, Stamps, Trajectory, Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
@@ -49,6 +50,7 @@ class RecordConfig(Settings):
     teleop: str
     seed: int
     start: tuple[float, float, float] | None = None
+    """True start pose: x, y [m], yaw [rad]; None: the world's spawn."""
     sim: SimConfig = SimConfig()
 
 
@@ -56,7 +58,8 @@ def save_truth(folder: Path, truth: Trajectory, world: World, robot: RobotSpec) 
     """Write `truth/`: the true poses at the scans, and the world's map at the height of the lidar plane."""
     folder.mkdir()
     save_tum(truth, folder / "trajectory.tum")
-    save_map(world.rasterize(robot.lidar_height), folder)
+    z = robot.lidar_height
+    save_true_map(world.rasterize(z), world.circles(z), folder)
 
 
 def record(scene: Scene, teleop: str, out: Output) -> int:
@@ -147,18 +150,23 @@ def record_drive(
     inputs: Mapping[str, Path] | None = None,
     watch: Callable[[Observation], None] | None = None,
     longest_s: float = LONGEST_S,
+    tell: bool = True,
 ) -> int:
     """Record what a driver does (sim.teleop_scripts: a generator of commands that is sent the truth).
 
     `teleop` names it in config.yaml; `watch` is shown every observation. A drive of `longest_s` of simulated
-    time is ended as one that got stuck. Exit code as of `record`.
+    time is ended as one that got stuck. `tell`: say where it is afterwards. Exit code as of `record`.
     """
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
     with deferred_interrupt() as interrupted, out.staged(save_bag=True) as folder:
         (folder / "config.yaml").write_text(config_text(config))
         # Without the driver's name: a bag that is driven again from its own commands is the same bag.
-        custom = {"seed": str(scene.seed), "config_sha256": sha256_text(config_text(scene.config("")))}
+        custom = {
+            "seed": str(scene.seed),
+            "config_sha256": sha256_text(config_text(scene.config(""))),
+            **footprint_text(scene.robot.model.footprint),
+        }
         with (
             Simulator(scene.world, scene.robot, scene.sim, scene.seed) as simulator,
             BagWriter(folder / "bag", custom=custom, lidars=scene.robot.lidars) as bag,
@@ -182,7 +190,10 @@ def record_drive(
         )
     if interrupted:
         log.warning("interrupted; the recording so far is kept")
-    log.info(f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out.folder}")
+    if tell:
+        log.info(
+            f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out.folder}"
+        )
     if stuck:
         log.error("the drive ended early: %s", stuck)
     return 128 + interrupted[0] if interrupted else int(stuck is not None)

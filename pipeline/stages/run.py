@@ -15,9 +15,11 @@ from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateR
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.options import XYT, Laser
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
+from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
+from turtlebag.pipeline.stages.requests.twins import TwinRequest
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log, say
@@ -43,6 +45,8 @@ def run(request: Request, out: Output) -> int:
             return _localise(request, out)
         case IdentifyRequest():
             return _identify(request, out)
+        case TwinRequest():
+            return _twin(request, out)
         case PlanRequest():
             return _plan(request, out)
         case NavigateRequest():
@@ -62,6 +66,10 @@ def run(request: Request, out: Output) -> int:
             from turtlebag.pipeline.stages.bags import recover_bag
 
             return recover_bag(request, out)
+        case ProgramRequest():
+            from turtlebag.pipeline.stages.program import run_program
+
+            return run_program(request, out)
         case StudioRequest():
             from turtlebag.pipeline.stages.studio import replay
 
@@ -142,6 +150,23 @@ def _identify(request: IdentifyRequest, out: Output) -> int:
     )
 
 
+def _twin(request: TwinRequest, out: Output) -> int:
+    from turtlebag.pipeline.stages.twin import make_twin
+    from turtlebag.sim.robots import load_robot
+
+    base = Path(request.robot)
+    return make_twin(
+        _source(request.source, request.laser, request.topic),
+        load_robot(request.robot),
+        out,
+        drives=request.drives,
+        seed=request.seed,
+        config=request.config,
+        settings=request.settings,
+        files={"robot": base} if base.is_file() else {},
+    )
+
+
 def _plan(request: PlanRequest, out: Output) -> int:
     from turtlebag.pipeline.stages.plan import PlanStageConfig, Query, plan, planner_settings
     from turtlebag.sim.robots import load_robot
@@ -155,7 +180,7 @@ def _plan(request: PlanRequest, out: Output) -> int:
 
 def _navigate(request: NavigateRequest, out: Output) -> int:
     from turtlebag.pipeline.navigation.config import NavigateConfig
-    from turtlebag.pipeline.navigation.driver_setup import Request as Drive
+    from turtlebag.pipeline.navigation.mission import Request as Drive
     from turtlebag.pipeline.stages.navigate import navigate
     from turtlebag.sim.robots import load_robot
     from turtlebag.sim.worlds import load_world, own_files

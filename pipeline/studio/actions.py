@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets.bags.footprint import footprint_text
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.errors import InputError
@@ -73,6 +74,7 @@ def record(robot: Robot, action: inputs.Save) -> str:
         "config_sha256": sha256_text(config_text(setup.config)),
         "world": setup.arena.name,
         "task": "studio",
+        **footprint_text(setup.spec.model.footprint),
     }
     bag = BagWriter(folder, custom=custom, lidars=setup.spec.lidars)
     robot.recording, publisher.bag = (action.name, bag), bag

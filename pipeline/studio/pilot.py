@@ -20,8 +20,9 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.avoid_driver import AvoidDriver
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.driver_setup import MAX_SIMULATED_S
-from turtlebag.pipeline.navigation.drivers import Kit, make_navigator
+from turtlebag.pipeline.navigation.drivers import make_navigator
 from turtlebag.pipeline.navigation.explore_driver import ExploreDriver
+from turtlebag.pipeline.navigation.kit import Kit
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_localiser import OnlineLocaliser
 from turtlebag.pipeline.navigation.online_map import OnlineMap

@@ -14,10 +14,10 @@ from turtlebag.datasets.durations import LONGEST_S, seconds
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.drivers import Kit
+from turtlebag.pipeline.navigation.command_owner import CommandOwner
+from turtlebag.pipeline.navigation.kit import Kit
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.status_lines import News, tally, verdict
-from turtlebag.pipeline.navigation.teleop_override import CommandOwner
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.pilot import Pilot, Task, WiggleDriver
 from turtlebag.pipeline.studio.publisher import Publisher

@@ -13,9 +13,9 @@ from turtlebag.datasets.runlog import RunLog, write_header
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import write_tum
 from turtlebag.datasets.types import Observation
+from turtlebag.pipeline.navigation.command_owner import CommandOwner
 from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import RunRecorder, trajectory_of
-from turtlebag.pipeline.navigation.teleop_override import CommandOwner
 from turtlebag.pipeline.studio.pilot import Task
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.simulator import Simulator

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from turtlebag.datasets.bags.footprint import footprint_of
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import map_files
 from turtlebag.datasets.outputs import sha256_file, sha256_tree
@@ -108,14 +109,17 @@ class BagSetup:
 
     def scene(self) -> Scene:
         """The frame of the picture: where the odometry went, and what the lidar may have seen from there."""
-        around, recording = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False), self.recording
+        recording, outline = self.recording, footprint_of(self.bag)
         xy = np.zeros((1, 2)) if recording.T_odom_base is None else recording.T_odom_base.xy
         reach = min(recording.lidar.range_max, 5.0)
         (x_min, y_min), (x_max, y_max) = xy.min(axis=0) - reach, xy.max(axis=0) + reach
+        if outline is None:
+            around = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+            outline = ROBOT_M * np.column_stack([np.cos(around), np.sin(around)])
         return Scene(
             world=self.bag.name,
             bounds=(float(x_min), float(y_min), float(x_max), float(y_max)),
-            outline=ROBOT_M * np.column_stack([np.cos(around), np.sin(around)]),
+            outline=outline,
         )
 
 

@@ -124,6 +124,14 @@ def show_cursor() -> None:
         bare(sys.stderr).write("\x1b[?25h")
 
 
+def starting() -> None:
+    """A word on the terminal while a command loads its packages: its first line is written over it."""
+    if _shown():
+        terminal = bare(sys.stderr)
+        terminal.write("starting ...\r")
+        terminal.flush()
+
+
 def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
     """Yield the items behind a progress bar; silent when stderr is not a terminal or -q was given."""
     if not _shown():

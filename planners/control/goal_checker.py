@@ -27,8 +27,11 @@ class GoalCheckerConfig(Settings, allow_inf_nan=False):
     """Tolerances by preset: `default` 0.03 m and 0.05 rad, `tutorial` 0.05 m and 0.17 rad."""
 
     preset: Preset = "default"
+    """`default`: 0.03 m and 0.05 rad; `tutorial`: 0.05 m and 0.17 rad."""
     xy_goal_tolerance: float | None = Field(default=None, gt=0.0)
+    """Distance from the goal [m]; None: by the preset."""
     yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)
+    """Angle off the goal's heading [rad]; None: by the preset."""
     hold: Seconds = 0.3
     """Seconds for which the pose must hold."""
     stop: bool = True

@@ -20,11 +20,13 @@ class SequenceConfig(Settings, allow_inf_nan=False):
     """Simulated seconds; the defaults are the tutorial's patrol."""
 
     initial_wait: Seconds = 3.0
+    """Before the first goal."""
     timeout: Seconds = Field(default=60.0, gt=0.0)
     """For each goal, from the moment it is set."""
     pause: Seconds = 1.0
     """After each reached goal without its own wait."""
     laps: int = Field(default=1, ge=1, le=1000)
+    """How often the waypoints are visited."""
     closed: bool = False
     """Whether a lap returns to its first waypoint."""
     retry_missed: bool = False

@@ -45,11 +45,13 @@ class RecoveryConfig(Settings, allow_inf_nan=False):
         Rung(kind="rotate", amount=1.6),
         Rung(kind="wait", amount=15.0),
     )
+    """What is tried, in this order, from the beginning again after progress."""
     total: int = Field(default=20, ge=0, le=10_000)
     """Recoveries per goal, after which it is given up."""
     stuck_time: Seconds = Field(default=5.0, gt=0.0)
     """Time without motion after which the robot counts as stuck."""
     back_up_v: float = Field(default=0.08, ge=1e-3)
+    """Speed of backing up [m/s]."""
 
 
 class Manoeuvre(Protocol):

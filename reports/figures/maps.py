@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
 from turtlebag.datasets.output_rules import PICTURE_MARK
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.true_maps import TrueMap
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures import style
 from turtlebag.reports.g2o import LoopRecord, PoseGraph
@@ -75,11 +76,35 @@ def frame(axes: Axes, box: Box) -> None:
 
 def draw_grid(axes: Axes, grid: OccupancyGrid, *, faint: bool = False) -> None:
     """Occupied ink, free paper, unknown ground; `faint` keeps it in the background of paths."""
+    wall = "#9aa3ad" if faint else style.INK
     image = np.empty((*grid.shape, 3))
     image[:] = to_rgb(style.PAPER)
     image[grid.cells == UNKNOWN] = to_rgb(style.GROUND)
-    image[occupied(grid)] = to_rgb("#9aa3ad" if faint else style.INK)
+    image[occupied(grid)] = to_rgb(wall)
+    image[round_cells(grid)] = to_rgb(style.PAPER)
     show_image(axes, image, grid)
+    draw_circles(axes, grid, wall, style.GROUND)
+
+
+def round_cells(grid: OccupancyGrid) -> NDArray[np.bool_]:
+    """The cells (rows, cols) of the round solids of a true map, which `draw_circles` draws."""
+    inside = np.zeros(grid.shape, dtype=bool)
+    for *xy, radius in grid.circles.tolist() if isinstance(grid, TrueMap) else []:
+        reach = radius + grid.resolution
+        low, high = (grid.cell_of(np.add(xy, by)) for by in (-reach, reach))
+        (row0, col0), (row1, col1) = np.clip([low, high + 1], 0, grid.shape)
+        rows, cols = np.mgrid[row0:row1, col0:col1]
+        off = np.abs(grid.center_of(np.stack([rows, cols], axis=-1)) - xy).max(axis=-1)
+        inside[rows, cols] |= off <= reach
+    return inside
+
+
+def draw_circles(axes: Axes, grid: OccupancyGrid, edge: str, face: str) -> None:
+    """The round solids of a true map, with an edge as wide as a cell inside their surface."""
+    for x, y, radius in grid.circles.tolist() if isinstance(grid, TrueMap) else []:
+        axes.add_patch(Circle((x, y), radius, facecolor=edge, edgecolor="none", zorder=0.5))
+        if (hollow := radius - grid.resolution) > 0.0:
+            axes.add_patch(Circle((x, y), hollow, facecolor=face, edgecolor="none", zorder=0.5))
 
 
 def show_image(axes: Axes, image: NDArray[np.float64], grid: OccupancyGrid) -> None:
@@ -118,8 +143,9 @@ def map_over_truth(grid: OccupancyGrid, true_grid: OccupancyGrid) -> Figure:
     """Mapped occupied cells, coloured by their distance to the true surface, on the true map."""
     figure, axes = map_figure(view_box(grid), bar=True)
     solid = np.full((*true_grid.shape, 3), to_rgb(style.PAPER))
-    solid[occupied(true_grid)] = to_rgb("#ccd3db")
+    solid[occupied(true_grid) & ~round_cells(true_grid)] = to_rgb("#ccd3db")
     show_image(axes, solid, true_grid)
+    draw_circles(axes, true_grid, "#ccd3db", style.PAPER)
     error = map_error(grid, true_grid)
     norm = Normalize(0.0, 100.0 * ERROR_SCALE_M)
     image = np.zeros((*grid.shape, 4))

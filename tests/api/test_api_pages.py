@@ -82,13 +82,26 @@ def test_the_page_runs_as_written(module, tmp_path, capsys):
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_the_notebooks_run_and_show_what_they_end_with(notebook, module):
     cells = [cell for cell in json.loads(notebook.read_text())["cells"] if cell["cell_type"] == "code"]
-    assert not any(cell["outputs"] or cell["execution_count"] for cell in cells)
     blocks = ["".join(cell["source"]) for cell in cells]
     run(blocks, module, notebook.name, SHORTER[notebook.stem])
     for name in ("bag", "m", "run", "maps"):
         made = getattr(module, name, None)
         for result in made.values() if isinstance(made, dict) else [made] if made is not None else []:
             assert "<svg" in result._repr_html_()
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_notebooks_carry_what_they_show_and_say_how_long_they_take(notebook):
+    text = json.loads(notebook.read_text())
+    cells = [cell for cell in text["cells"] if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in cells] == [*range(1, len(cells) + 1)]
+    for cell in cells:
+        shows = cell["outputs"]
+        assert all(show["output_type"] != "error" for show in shows)
+        last = "".join(cell["source"]).splitlines()[-1]
+        if last == "plt.show()" or re.fullmatch(r'[\w.]+(\[".*"\])?|tb\.report\(.*\)', last):
+            assert any({"image/png", "text/html"} & set(show.get("data", ())) for show in shows), last
+    assert re.search(r"takes about .* minute", "".join(text["cells"][0]["source"]))
 
 
 def test_each_notebook_has_its_shorter_drives():

@@ -77,6 +77,15 @@ def test_a_message_during_a_bar_has_its_own_line_above_it(normal):
     assert "follow" in written
 
 
+def test_a_command_that_loads_says_so_on_a_terminal_and_nowhere_else(normal):
+    with redirect_stderr(Terminal()) as terminal:
+        console.starting()
+    assert terminal.getvalue() == "starting ...\r"  # the next line is written over it
+    with redirect_stderr(io.StringIO()) as file:
+        console.starting()
+    assert not file.getvalue()
+
+
 def test_frames_are_redrawn_in_place_with_messages_above(normal):
     with redirect_stderr(Terminal()) as terminal, console.redrawn() as redraw:
         redraw("1.0 s")

@@ -22,7 +22,7 @@ YAML = (
 
 
 def test_a_confidence_is_an_image_of_the_map_s_size(tmp_path):
-    save_confidence(np.array([[0.0, 1.0, 0.5], [0.2, 0.0, 1.0]]), tmp_path / "confidence.pgm")
+    save_confidence(np.array([[0, 255, 128], [51, 0, 255]], dtype=np.uint8), tmp_path / "confidence.pgm")
     pixels = np.asarray(Image.open(tmp_path / "confidence.pgm"))
     assert pixels.tolist() == [[51, 0, 255], [0, 255, 128]]  # the row of the largest y comes first
 

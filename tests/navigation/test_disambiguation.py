@@ -32,10 +32,10 @@ from turtlebag.pipeline.navigation.disambiguation import (
     passable_under_all,
     walls_of,
 )
-from turtlebag.pipeline.navigation.driver_setup import Request
 from turtlebag.pipeline.navigation.driver_setup import prepare as prepare_mission
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
 from turtlebag.pipeline.navigation.pose_watch import RelocaliseConfig
@@ -43,8 +43,9 @@ from turtlebag.planners.control.collision_monitor import PADDING_M, CollisionMon
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
-from turtlebag.planners.global_plan import OmplPlanner, PlanConfig
+from turtlebag.planners.global_plan import OmplPlanner
 from turtlebag.planners.obstacle_layer import Marking, ObstacleLayer
+from turtlebag.planners.planner import PlanConfig
 from turtlebag.planners.tasks.frontier import SPENT_M
 from turtlebag.planners.tasks.recovery import RecoveryConfig
 from turtlebag.sim import shapes

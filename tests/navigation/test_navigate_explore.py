@@ -7,7 +7,8 @@ import pytest
 
 from turtlebag.datasets.grid import FREE
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.drivers import Kit, make_explorer
+from turtlebag.pipeline.navigation.drivers import make_explorer
+from turtlebag.pipeline.navigation.kit import Kit
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing

@@ -13,7 +13,7 @@ from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.navigation.driver_setup import Request
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.ompl_planner import PlannerName

@@ -9,9 +9,10 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.localisation.lost_detection import DOUBTS
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver_setup import Request, prepare
+from turtlebag.pipeline.navigation.driver_setup import prepare
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.goal_states import Event, Machine
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.navigation.navigator import LOST
 from turtlebag.pipeline.navigation.pose_watch import PoseWatch, RelocaliseConfig
 from turtlebag.planners.tasks.patrol import GoalSequence, SequenceConfig

@@ -17,7 +17,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver_setup import Request
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.navigation.teleop_override import Interval, Script, TeleopOverrideConfig, load_script
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.pipeline.terminal.keyboard_teleop import OverrideKeys

@@ -1,5 +1,7 @@
 """The page about parts: its code runs, and its table names existing things."""
 
+import importlib
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -22,6 +24,26 @@ def examples(monkeypatch):
 def test_the_code_of_the_page_runs(examples):
     (block,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
     exec(compile(block, "parts.md", "exec"), {})
+
+
+def contracts():
+    """The Protocols that the checks name."""
+    for check in (name for name in testing.__all__ if name.startswith("check")):
+        doc = " ".join(getattr(testing, check).__doc__.split())
+        module, name = re.search(r"`(turtlebag\.[\w.]+)\.(\w+)`", doc).groups()
+        yield getattr(importlib.import_module(module), name)
+
+
+def test_all_that_the_methods_of_a_contract_take_has_a_type():
+    open_to_anything = [
+        f"{contract.__name__}.{method}: {argument.name}"
+        for contract in contracts()
+        for method, function in vars(contract).items()
+        if inspect.isfunction(function) and function.__module__ == contract.__module__
+        for argument in [*inspect.signature(function).parameters.values()][1:]
+        if argument.annotation in ("Any", inspect.Parameter.empty)
+    ]
+    assert not open_to_anything
 
 
 def test_the_table_names_each_check_and_where_its_contract_is():

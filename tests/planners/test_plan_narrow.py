@@ -14,11 +14,12 @@ from turtlebag.planners.control.collision_monitor import padded
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.footprint_motions import Ground, free_from
-from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
+from turtlebag.planners.global_plan import NoPath, fits, plan_path
 from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice import HEADINGS, YAWS
 from turtlebag.planners.lattice_search import WIDE, Floor, ends
 from turtlebag.planners.ompl_planner import OmplConfig
+from turtlebag.planners.planner import PlanConfig
 
 RES = 0.05
 WAFFLE = RobotModel(

@@ -9,15 +9,10 @@ from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint_motions import Ground, free_from
-from turtlebag.planners.global_plan import (
-    DiscSearch,
-    PlanConfig,
-    blocked_until,
-    plan_path,
-    without_repeats,
-)
+from turtlebag.planners.global_plan import DiscSearch, blocked_until, plan_path, without_repeats
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.ompl_planner import OmplConfig, floor_bounds, iteration_limit
+from turtlebag.planners.planner import PlanConfig
 from turtlebag.planners.smoothing import densify, path_length, shortcut
 
 RES = 0.05

@@ -12,8 +12,9 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.global_plan import NoPath, PlanConfig, plan_path
+from turtlebag.planners.global_plan import NoPath, plan_path
 from turtlebag.planners.obstacle_layer import Marking
+from turtlebag.planners.planner import PlanConfig
 from turtlebag.planners.rolling_costmap import RollingLayer
 from turtlebag.planners.tasks.waypoints import load_keepout, load_waypoints, parse_waypoint
 

@@ -8,6 +8,7 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.sim.movers import Mover, MovingSolid
+from turtlebag.sim.nearby import Nearby
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.shapes import box, cylinder
@@ -21,7 +22,7 @@ QUIET = SimConfig(lidar={"noise": "none"})
 
 
 def walk(mover, steps, world=EMPTY, robot=(99.0, 99.0), seed=0):
-    one = MovingSolid(mover, world.touchable(0.2), 0.15, np.random.default_rng(seed))
+    one = MovingSolid(mover, Nearby(world.touchable(0.2), 3.0), 0.15, np.random.default_rng(seed))
     places = [one.position.copy()]
     for _ in range(steps):
         one.step(1.0 / 30.0, np.array(robot))

@@ -69,7 +69,8 @@ def robot(section, **change):
 
 POSITIVE = "m_0: box: its size is not three positive numbers"
 FILES = [
-    ("map.yaml", "image: map.pgm\nresolution: 0.05\n", "not a world file: it has no 'shapes'"),
+    ("map.yaml", "image: map.pgm\nresolution: 0.05\n", "origin: is missing"),
+    ("mine.yaml", "name: mine\nspawn: [0, 0, 0]\n", "not a world file: it has no 'shapes'"),
     ("mine.yaml", shapes("{"), "line 3: not valid YAML"),
     (
         "mine.yaml",

@@ -8,13 +8,14 @@ from tests.helpers.slam_rooms import LDS, around_the_room, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.grid import BEHIND_CELLS, OccupancyConfig, make_grid, thinned, trimmed
+from turtlebag.pipeline.slam.grid import OccupancyConfig, make_grid, trimmed
+from turtlebag.pipeline.slam.thin_walls import BEHIND_CELLS, thin
 
 U, F, X = UNKNOWN, FREE, OCCUPIED
 
 
 def thinned_by_numpy(cells, hits, behind, before):
-    """`thinned` in array operations."""
+    """`thin` in array operations."""
 
     def neighbours(a, fill):
         p = np.pad(a, 1, constant_values=fill)
@@ -70,7 +71,8 @@ def test_thinning_does_as_numpy_does():
     for _ in range(20):
         hits = rng.integers(0, 40, (30, 40)).astype(np.uint16)
         cells = rng.choice([U, F, X], (30, 40), p=[0.1, 0.5, 0.4]).astype(np.int8)
-        found = thinned(cells, hits, 0.5, 0.25)
+        found = cells.copy()
+        thin(found, hits, 0.5, 0.25)
         wanted = thinned_by_numpy(cells, hits.astype(float), 0.5, 0.25)
         np.testing.assert_array_equal(found, wanted)
         assert np.any(found != cells)
@@ -79,8 +81,8 @@ def test_thinning_does_as_numpy_does():
 def test_overshoot_and_shortfall_go_and_equals_stay():
     cells = np.array([[F, F, X, X, U], [F, F, X, X, U], [F, F, X, X, X], [F, F, X, X, X]], dtype=np.int8)
     hits = np.array([[0, 0, 50, 6, 0], [0, 0, 30, 28, 0], [0, 0, 5, 60, 40], [0, 0, 5, 60, 40]], np.uint16)
-    found = thinned(cells, hits, 0.5, 0.25)
-    assert found.tolist() == [[F, F, X, U, U], [F, F, X, X, U], [F, F, F, X, X], [F, F, X, X, X]]
+    thin(cells, hits, 0.5, 0.25)
+    assert cells.tolist() == [[F, F, X, U, U], [F, F, X, X, U], [F, F, F, X, X], [F, F, X, X, X]]
 
 
 @pytest.mark.parametrize("shift", np.linspace(0.0, 0.045, 10))
@@ -88,16 +90,16 @@ def test_walls_are_thin_and_closed_wherever_they_lie_in_their_cells(shift):
     walls = rectangle(0, 0, 8, 6) + shift
     poses = around_the_room(60) + np.array([shift, shift, 0.0])
     log, T = recording(walls, poses, LDS), SE2.from_array(poses)
-    thin = make_grid(log, T, OccupancyConfig(), 30.0)
+    thinner = make_grid(log, T, OccupancyConfig(), 30.0)
     thick = make_grid(log, T, OccupancyConfig(behind_share=0.0, before_share=0.0), 30.0)
-    rows = [(grid.cells == X)[:, 30:-30].sum(axis=0) for grid in (thin, thick)]
+    rows = [(grid.cells == X)[:, 30:-30].sum(axis=0) for grid in (thinner, thick)]
     assert rows[0].sum() <= rows[1].sum()
     # a surface within half a standard deviation of a cell border is hit on both sides of it
     on_a_border = min(shift, 0.05 - shift) < 0.006
     assert np.median(rows[0]) <= (4 if on_a_border else 2)
     # every column meets both walls, and no free cell lies open to the unknown that did not before
     assert rows[0].min() >= min(2, rows[1].min())
-    assert open_cells(thin) <= open_cells(thick)
+    assert open_cells(thinner) <= open_cells(thick)
 
 
 def open_cells(grid):

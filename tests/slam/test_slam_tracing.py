@@ -15,7 +15,6 @@ from turtlebag.pipeline.slam.grid import (
     Counts,
     OccupancyConfig,
     beam_lengths,
-    beside,
     cast_beams,
     cell_confidence,
     certainty,
@@ -27,6 +26,7 @@ from turtlebag.pipeline.slam.grid import (
 )
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.slam.scans.correlative import UNSEEN, Field, best_pose, make_field
+from turtlebag.pipeline.slam.thin_walls import beside
 
 
 def plain_trace(hits, misses, x, y, dx, dy, length, returned, share):
@@ -228,18 +228,18 @@ def test_a_cell_is_the_surer_the_more_beams_agree_on_it():
     cells = np.array([[OCCUPIED, OCCUPIED, OCCUPIED, FREE, FREE, UNKNOWN]], dtype=np.int8)
     hits = np.array([[2, 50, 13, 0, 0, 0]], dtype=np.uint16)
     misses = np.array([[1, 5, 38, 1, 80, 0]], dtype=np.uint16)
-    (few, many, even, once, often, unknown) = cell_confidence(cells, hits, misses, 0.25)[0].tolist()
-    assert 0.4 < even < 0.7 < few < many
-    assert 0.5 < once < 0.95 < often <= 1.0
-    assert unknown == 0.0
+    (few, many, even, once, often, unknown) = cell_confidence(cells, Counts(hits, misses), 0.25)[0].tolist()
+    assert 102 < even < 178 < few < many
+    assert 128 < once < 242 < often <= 255
+    assert unknown == 0
 
 
 def test_the_confidence_of_a_grid_has_its_cells():
     poses = around_the_room(5)
     drawn = make_checked_grid(recording(ROOM, poses), SE2(poses), OccupancyConfig(margin_m=0.3), 30.0)
     assert drawn.confidence.shape == drawn.grid.shape
-    assert ((drawn.confidence > 0.0) == (drawn.grid.cells != UNKNOWN)).all()
-    assert drawn.confidence[drawn.grid.cells == OCCUPIED].mean() > 0.8
+    assert ((drawn.confidence > 0) == (drawn.grid.cells != UNKNOWN)).all()
+    assert drawn.confidence[drawn.grid.cells == OCCUPIED].mean() > 204
 
 
 @pytest.mark.slow

@@ -11,7 +11,8 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver_setup import Request, prepare
+from turtlebag.pipeline.navigation.driver_setup import prepare
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world

@@ -13,9 +13,10 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked
 from turtlebag.pipeline.stages import plan as stage
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
-from turtlebag.planners.global_plan import PlanConfig, plan_path
+from turtlebag.planners.global_plan import plan_path
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solution_from, solve
+from turtlebag.planners.planner import PlanConfig
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut
 from turtlebag.sim.robots import load_robot
 

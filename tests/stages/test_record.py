@@ -65,6 +65,7 @@ def test_outputs_are_the_contracts(recorded):
         "bag/bag_0.mcap",
         "bag/metadata.yaml",
         "config.yaml",
+        "truth/circles.yaml",
         "truth/map.pgm",
         "truth/map.yaml",
         "truth/trajectory.tum",

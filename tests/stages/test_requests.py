@@ -18,6 +18,7 @@ NEEDED = {
     "localise": ["rec", "--map", "m.yaml"],
     "identify": ["rec"],
     "plan": ["--map", "m.yaml", "--start=-2,0,0", "--goal", "1,1,0"],
+    "twin": ["rec"],
     "report": ["rec", "map"],
     "compare": ["a", "b"],
     "bag convert": ["rec"],

@@ -14,9 +14,10 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver_setup import Request, prepare
+from turtlebag.pipeline.navigation.driver_setup import prepare
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.metrics import goal_of
+from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.planners.tasks.patrol import GoalOutcome
 from turtlebag.planners.tasks.waypoints import Waypoint

@@ -12,9 +12,9 @@ WITH_LOOPS = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
 """In a room this small the refinement would do without loops."""
 
 
-def write_bag(folder, log=LOG):
+def write_bag(folder, log=LOG, **custom):
     """A log as a rosbag2 folder."""
-    with BagWriter(folder, custom={}) as writer:
+    with BagWriter(folder, custom=custom) as writer:
         writer.static_transforms(0, [("base_footprint", "base_scan", (0.0, 0.0, 0.1), 0.0)])
         for k in range(len(log)):
             stamp = int(log.stamps_ns[k])

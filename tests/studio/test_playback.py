@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from tests.studio.room_bag import LAST, LOG, WITH_LOOPS, write_bag
+from turtlebag.datasets.bags.footprint import footprint_text
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
@@ -22,6 +23,7 @@ from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.loops_shown import points_of
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import BagSetup
+from turtlebag.sim.robots import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +46,15 @@ def with_loops(bag, tmp_path):
 def run(played, seconds):
     for _ in range(round(30 * seconds)):
         played.tick()
+
+
+@pytest.mark.parametrize("custom", [{}, {"footprint": "round"}, {"footprint": "[[0, 0], [1, 1], [1e9, 0]]"}])
+def test_the_robot_of_a_bag_has_the_shape_that_the_bag_states_or_is_a_disc(tmp_path, custom):
+    model = load_robot("waffle_pi").model
+    stated = write_bag(tmp_path / "stated", **footprint_text(model.footprint))
+    np.testing.assert_allclose(BagSetup(stated).scene().outline, model.footprint, atol=1e-4)
+    radii = np.hypot(*BagSetup(write_bag(tmp_path / "bag", **custom)).scene().outline.T)
+    np.testing.assert_allclose(radii, 0.2)
 
 
 def test_time_passes_scan_by_scan_and_seeking_goes_anywhere(played):

@@ -234,6 +234,27 @@ def test_time_can_stand_still_step_and_run(page, session):
     until(lambda: re.match(r"[34]\.\d", shown_text(page, "factor")), 60.0)
 
 
+def test_time_stands_still_after_a_pose_was_set_until_something_is_done(page, session):
+    start, tip = on_screen(page, (0.5, 1.0), (0.5, 2.0))
+    for go_on, do in (
+        (lambda: click(page, "[data-do=wiggle]"), "wiggle"),
+        (lambda: page.key("w"), "drive"),
+        (lambda: click(page, "#pause"), None),
+    ):
+        page.key("p")
+        drag(page, start, tip)
+        until(lambda: shown_text(page, "factor") == "paused")
+        until(lambda: shown_text(page, "advice").startswith("Paused: does the scan lie on the walls?"))
+        before = session.stamp_ns
+        time.sleep(0.3)
+        assert session.stamp_ns == before
+        go_on()
+        until(lambda: shown_text(page, "factor") != "paused")
+        until(lambda before=before: session.stamp_ns > before)
+        assert do is None or session.asked(do)
+        page.key("x")
+
+
 def test_fingers_drive_with_the_pad_and_pinch_the_map(browser, session, served):
     open_page(browser, served, 844, 390, touch=True)
     x, y, size, _ = box_of(browser, "#pad")

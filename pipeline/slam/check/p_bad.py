@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 # The log odds of a map against which nothing speaks, and what a term of size 1 adds.
-BASE = -2.48
+BASE = -2.46
 WEIGHTS = {
-    "contradicted": 3.41, "lost": 2.58, "empty": 0.72, "broken": 2.61, "mirrored": 4.93, "moved": 3.18,
-    "merged": 4.0, "uncertain": 1.94, "thick": 2.88, "still": 3.45,
+    "contradicted": 3.45, "lost": 2.58, "empty": 0.78, "broken": 2.58, "mirrored": 4.92, "moved": 3.30,
+    "merged": 4.0, "uncertain": 1.97, "thick": 3.17, "still": 1.50,
 }  # fmt: skip
 # Larger terms count as this one; a map is doubtful from this probability on.
-MOST, DOUBTFUL = 3.0, 0.31
+MOST, DOUBTFUL = 3.0, 0.344
 
 
 class Term(NamedTuple):

@@ -34,9 +34,11 @@ from turtlebag.pipeline.slam.times.stretches import odometry_stream, usual_perio
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
-# At most this share of the places, or of the scans, may be wrong; and at most this many key scans, however
-# long the log, may contradict most of their revisits.
-MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
+# At most this share of the scans may be wrong.
+MOST_WRONG = 0.05
+# What good maps may have, as people and doors are seen once and not again: this share of contradictory
+# revisits, and this many key scans, however long the log, that contradict most of their revisits.
+USUAL_SHARE, USUAL_KEYS = 0.04, 4
 # What good maps may have: the largest standard deviation of a key scan [m], of which two are the error of a
 # bad map, and the mean robust residual of pairs, which people and rough walls double in real logs.
 # Drives shorter than this [m] tell nothing by their length.
@@ -108,11 +110,11 @@ def _contradicted(T_map_keys: SE2, pairs: NDArray[np.int64], share: Array) -> It
     if len(share) == 0:
         return
     alone = contradicted_keys(pairs, share, BAD_SHARE)
-    size = max(float(np.mean(share > BAD_SHARE)) / MOST_WRONG, len(alone) / MOST_CONTRADICTED)
+    against = max(float(np.mean(share > BAD_SHARE)) / USUAL_SHARE, len(alone) / USUAL_KEYS)
     x, y = T_map_keys.xy[pairs[int(np.argmax(share))][0]]
     yield Term(
         "contradicted",
-        size,
+        doublings(against, 1.0),
         f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): "
         "the map is folded or doubled",
     )

@@ -63,9 +63,9 @@ AS_PUT = Limits.fine()._replace(iterations=0)
 class PlaceRecognitionConfig(Settings):
     """Place recognition."""
 
-    enabled: bool = True
+    enabled: bool = Field(default=True, description="look for places seen before wherever they are")
     candidates: int = Field(default=12, gt=0, le=1000, description="most similar submaps to compare")
-    min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
+    min_overlap: float = Field(default=0.6, gt=0.0, le=1.0, description="least share of points that match")
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
 
 

@@ -39,7 +39,9 @@ class LoopConfig(Settings):
 
     RENAMED: ClassVar = {"inflation": "covariance_scale"}
 
-    enabled: bool = True
+    enabled: bool = Field(
+        default=True, description="close loops with key scans that are near by the estimate"
+    )
     match: Annotated[str, part_of(*MATCHERS)] = Field(
         default="lines",
         description="aligns loops: our point-to-line alignment, Open3D's ICP, or your own class",
@@ -53,7 +55,7 @@ class LoopConfig(Settings):
         ge=0.0,
         description="search radius below which places are left to the refinement",
     )
-    min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
+    min_overlap: float = Field(default=0.7, gt=0.0, le=1.0, description="least share of points that match")
     min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="minimum score of the search")
     covariance_scale: float = Field(
         default=50.0, gt=0.0, description="information of a match divided by that of its loop"

@@ -1,16 +1,19 @@
 """The contract of a front end: it estimates the pose of each scan of a log, in order.
 
-`tracker.Tracker` calls it and does what all front ends share: it corrects the odometry's systematic errors,
-uses odometry until the first scan that others can be matched with, selects the key scans, and keeps
-the `Track`, the input of loops and refinement. So a front end is one method, and fits on a page.
+`tracker.Tracker` does what all share: it corrects the odometry's systematic errors, uses odometry until the
+first scan that others can be matched with, selects the key scans, and keeps the `Track`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.scans.clouds import Clouds
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,21 +46,41 @@ class Placed:
         return self.overlap / self.known if self.known > 0.0 else 1.0
 
 
+class TrackedLog(Protocol):
+    """The log tracked so far, for front ends to read. Poses (3,) are x, y [m], yaw [rad], as `T_track_base`.
+
+    `scan` is being placed; `velocity` (3,) is the motion of the one before, in the base frame of its own
+    predecessor. `clouds.of(k)` are the points (n, 2) [m] of scan k in its base frame; `keys` are the key
+    scans, at first one that has points.
+    """
+
+    clouds: Clouds
+    scan: int
+    velocity: Array
+    keys: list[int]
+
+    @property
+    def pose(self) -> Array:
+        """The pose (3,) of the scan placed last."""
+
+    def last_keys(self, n: int = ...) -> tuple[NDArray[np.int64], Array]:
+        """The last n key scans, (k,), and their poses, (k, 3)."""
+
+    def fit(self, points: Array, pose: Array) -> float:
+        """How well points (n, 2) [m] of a scan at a pose (3,) fit the last key scans, 0..1."""
+
+
 class FrontEnd(Protocol):
     """Estimates the poses of a log's scans in order. It must not modify its inputs."""
 
-    def __init__(self, tracker: Any) -> None:
-        """`tracker` is a `turtlebag.pipeline.slam.odometry.tracker.Tracker` with the log tracked so far: at
-        first one key scan, which has points. It may be read at any step."""
-        ...
+    def __init__(self, tracker: TrackedLog) -> None:
+        """`tracker` may be read at any step."""
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
         """The pose of the next scan.
 
         `points` (n, 2) are its returns [m] in the frame of the base at its stamp; n may be 0. `odometry_step`
         (3,) is the motion since the previous scan by the calibrated odometry, in that scan's base frame, None
-        without odometry; `wait_s` is the time since then [s], negative if stamps go backwards. The scan's
-        number, the previous pose and motion, key scans and surfaces are attributes of the tracker.
-        If the scan shows nothing, return the predicted pose with zero information.
+        without odometry; `wait_s` is the time since then [s], negative if stamps go backwards. If the scan
+        shows nothing, return the predicted pose with zero information.
         """
-        ...

@@ -37,8 +37,8 @@ class OdometryNoise(Settings):
 class TrackingConfig(Settings):
     """The front end."""
 
-    key_distance_m: float = Field(default=0.3, ge=0.001)
-    key_turn_rad: float = Field(default=0.4, ge=0.001)
+    key_distance_m: float = Field(default=0.3, ge=0.001, description="distance between key scans")
+    key_turn_rad: float = Field(default=0.4, ge=0.001, description="turn between key scans")
     calibration: bool = Field(default=True, description="learn the odometry's systematic errors")
     odometry: OdometryNoise = OdometryNoise()
 

@@ -1,13 +1,11 @@
-"""The tracker runs a front end over a log: odometry, key scans, calibration, and the resulting track.
+"""The tracker runs a front end over a log: key scans, calibration, and the resulting track.
 
-A `FrontEnd` estimates the pose of each scan in order. Until the first scan of a lidar that others can be
-matched with, odometry alone is used; a scan becomes a key scan when the robot has moved on since the last
-one of its lidar, the scan has something to match, and the front end is sure of its pose. The odometry's
-systematic errors are learnt from the key scans on the way.
+The robot has moved at a key scan, the front end is sure of it, and others can be matched with it.
 """
 
 from __future__ import annotations
 
+import weakref
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,17 +26,12 @@ from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correlative import Field, best_pose, make_field
 from turtlebag.pipeline.slam.scans.scans import Scans
 
-# Key scans in the coarse search's field, and the size of its cells [m].
-FIELD_KEYS, FIELD_M = 30, 0.1
-# The usual time between scans is that of so many.
-WAITS = 64
+# Key scans of the coarse search, its cells [m], and of how many scans the usual time between them is.
+FIELD_KEYS, FIELD_M, WAITS = 30, 0.1, 64
 
 
 class Tracker:
-    """The log as far as it is tracked. `scan` is the one placed last, or being placed; `velocity` (3,) is the
-    motion of the last placed scan since the one before, `keys` are the key scans; `after_gap` says whether
-    `scan` follows so long after the one before that this tells nothing. `max_range` is how far the lidar is
-    used [m]."""
+    """The log as far as it is tracked, a `TrackedLog`; between steps `scan` is the one placed last."""
 
     def __init__(
         self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float, make: Maker
@@ -184,7 +177,8 @@ class Tracker:
         self.keys.append(self.scan)
         self._field = None
         if self._front_end is None and self._has_matches(self.scan):
-            self._front_end = self._make(self)
+            # a circle of two would keep the points of the whole log in memory long after it is tracked
+            self._front_end = self._make(weakref.proxy(self))
         if len(self.keys) & (len(self.keys) - 1) == 0:  # again whenever their number has doubled
             self.calibrate()
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from turtlebag.datasets.se2 import Array, compose
-from turtlebag.pipeline.slam.odometry.front_end import Placed
-from turtlebag.pipeline.slam.odometry.tracker import Tracker
+from turtlebag.pipeline.slam.odometry.front_end import Placed, TrackedLog
 
 
 class Wheels:
     """Places every scan by the calibrated odometry, which it needs."""
 
-    def __init__(self, tracker: Tracker) -> None:
+    def __init__(self, tracker: TrackedLog) -> None:
         self._tracker = tracker
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:

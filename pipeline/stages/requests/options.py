@@ -217,7 +217,12 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 
 World = Annotated[
-    Name, Option("W", "world: a name, a YAML or SDF file, or your own class (module:Class)", "empty")
+    Name,
+    Option(
+        "W",
+        "world: a name, a YAML or SDF file, a map's YAML, a twin's folder, or your own class (module:Class)",
+        "empty",
+    ),
 ]
 Robot = Annotated[
     Name | None, Option("R", "robot: a name or a YAML file (default: the world's own)", "burger")

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from pydantic import ValidationError, field_validator
+from pydantic import ValidationError, field_validator, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
@@ -44,6 +44,21 @@ class Request(Settings):
                 raise InputError(f"{where}: {cls.VERB} has no such option (known: {known})") from None
             raise InputError(f"{where}: {plain_message(first)}") from None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_twin(cls, given: Any) -> Any:
+        """Of a world that is the folder of a twin its world and robot, and for the studio its map."""
+        world = given.get("world") if isinstance(given, dict) else None
+        folder, clutter, things = str(world).partition("+clutter:")
+        if not isinstance(world, str | os.PathLike) or not os.path.isfile(os.path.join(folder, "world.yaml")):
+            return given
+        own = {"robot": "robot.yaml", **({"map": "map/map.yaml"} if cls.VERB == "studio" else {})}
+        files = {name: os.path.join(folder, file) for name, file in own.items()}
+        found = {
+            name: file for name, file in files.items() if given.get(name) is None and os.path.isfile(file)
+        }
+        return {**given, **found, "world": os.path.join(folder, "world.yaml") + clutter + things}
+
     @field_validator("*", mode="before")
     @classmethod
     def _from_python(cls, value: Any) -> Any:
@@ -70,7 +85,10 @@ class Request(Settings):
         fields = dict(self)
         named = [value for value in fields.values() if isinstance(value, str) and os.path.isfile(value)]
         images = [image for name in MAPS for image in _images(fields.get(name))]
-        return [path for path in (*_paths(fields), *map(Path, named), *images) if os.path.exists(path)]
+        world = _world_files(fields.get("world"))
+        return [
+            path for path in (*_paths(fields), *map(Path, named), *images, *world) if os.path.exists(path)
+        ]
 
     def moved(self, place: Place) -> Self:
         """The same request with other paths, and other names of what may be a file."""
@@ -85,6 +103,17 @@ def _images(path: Any) -> list[Path]:
 
     with suppress(InputError):
         return [map_files(path)["map_image"]]
+    return []
+
+
+def _world_files(name: Any) -> list[Path]:
+    """The files of a world that is one of the user's, with its options; none of anything else."""
+    if not isinstance(name, str) or not os.path.isfile(name.partition("+clutter:")[0].partition(":")[0]):
+        return []
+    from turtlebag.sim.worlds import own_files
+
+    with suppress(InputError):
+        return [*own_files(name, None).values()]
     return []
 
 

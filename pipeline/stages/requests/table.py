@@ -9,6 +9,7 @@ from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportReque
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
+from turtlebag.pipeline.stages.requests.twins import TwinRequest
 
 KINDS: tuple[type[Request], ...] = (
     RecordRequest,
@@ -16,6 +17,7 @@ KINDS: tuple[type[Request], ...] = (
     MapRequest,
     LocaliseRequest,
     IdentifyRequest,
+    TwinRequest,
     PlanRequest,
     NavigateRequest,
     ReportRequest,

@@ -16,7 +16,7 @@ import { words } from "./words.js";
 const MOVES = ["goal", "patrol", "avoid", "explore", "wiggle"];
 const stage = byId("stage"), readout = byId("readout");
 const shown = new Set(kept());
-let due = false, fitted = false, cursor = null, copied = "";
+let due = false, fitted = false, comparing = false, cursor = null, copied = "";
 
 function kept() {
   try { return JSON.parse(localStorage.getItem("turtlebag-layers")) ?? first(); } catch { return first(); }
@@ -30,12 +30,14 @@ function first() {
 function changed() {
   if (due) return;
   due = true;
-  requestAnimationFrame(() => {
-    due = false;
-    if (view.follow && scene.head.pose) [view.x, view.y] = scene.head.pose;
-    draw(stage, shown, waypoints, desk.doing);
-    read();
-  });
+  requestAnimationFrame(drawNow);
+}
+
+function drawNow() {
+  due = false;
+  if (view.follow && scene.head.pose) [view.x, view.y] = scene.head.pose;
+  draw(stage, shown, waypoints, desk.doing);
+  read();
 }
 
 function read() {
@@ -47,11 +49,21 @@ function read() {
 
 /** Send an input. Tasks end teleop first, because teleop has priority over any task. */
 function send(message) {
+  const { do: name } = message;
   refuse("");
-  if (MOVES.includes(message.do)) drive.release();
-  if (message.do === "waypoints_load") waypoints.sent = "";
+  if (MOVES.includes(name)) drive.release();
+  if (name === "localise_global") goOn();
+  if (name === "pause" || name === "resume") comparing = false;
+  if (name === "waypoints_load") waypoints.sent = "";
   if (!connection.send(message)) refuse("Not connected: nothing was sent.");
+  else if (name === "pose_estimate" && !scene.head.paused) comparing = connection.send({ do: "pause" });
   return true;
+}
+
+/** Time stands still after a pose was set, or the filter would correct a wrong one before anybody sees it. */
+function goOn() {
+  if (comparing) connection.send({ do: "resume" });
+  comparing = false;
 }
 
 async function copy(place) {
@@ -66,7 +78,7 @@ async function copy(place) {
 }
 
 const speeds = (v, w) => put(byId("cmd"), "textContent", `${v.toFixed(2)} m/s, ${w.toFixed(1)} rad/s`);
-const drive = new Drive((message) => connection.send(message), speeds);
+const drive = new Drive((message) => { goOn(); connection.send(message); }, speeds);
 const waypoints = new Waypoints(byId("waypoints"), (list) => connection.send({ do: "waypoints", waypoints: list }), changed, refuse);
 const desk = new Desk({ send, copy, refuse, waypoints, size: () => Number(byId("size").value), chosen });
 const connection = new Connection(arrived, told);
@@ -93,19 +105,19 @@ function arrived(header, blobs) {
     name.value ||= `map_${world.replace("turtlebot3_", "").replace(/[^A-Za-z0-9_-]+/g, "_") || "1"}`;
     wanted();
     if (!fitted) showAll();
-    fitted = true;
   } else {
     const { keepouts: before, head: { map } } = scene;
     take(header, blobs);
-    show(header, desk.name);
+    show({ ...header, comparing: comparing && header.paused }, desk.name);
     if (!header.driver && (drive.v || drive.w)) drive.forget();
     if (!drive.v && !drive.w) speeds(...header.cmd);
     if (scene.keepouts !== before) keepouts(send);
     if (header.map != null && header.map !== map) showAll();
+    if (!fitted) showFirst();
     if (header.error || !header.driver) waypoints.sent = "";
     if (header.waypoints) waypoints.arrived(header.waypoints);
     if (header.events?.length) log(header.events);
-    if (header.error) refuse(header.error);
+    if (header.error) refuse(header.error), goOn();
   }
   changed();
 }
@@ -137,6 +149,13 @@ function showAll() {
   const known = scene.grids.map?.corners() ?? [];
   fit(known.length ? known : [[x0, y0], [x1, y1]]);
   follow(false);
+}
+
+/** What there is, once both the first frame and the size of the window are known. */
+function showFirst() {
+  if (!scene.head.pose || view.width < 2) return;
+  fitted = true;
+  showAll();
 }
 
 function follow(on) {
@@ -264,7 +283,8 @@ readColours();
 dark.addEventListener("change", () => { readColours(); changed(); });
 new ResizeObserver(([{ contentRect: { width, height } }]) => {
   Object.assign(view, { width, height });
+  if (!fitted) showFirst();
   stage.width = Math.round(width * devicePixelRatio);
   stage.height = Math.round(height * devicePixelRatio);
-  changed();
+  drawNow(); // a new size has cleared it, and is shown before the next animation frame
 }).observe(stage);

@@ -12,7 +12,8 @@ export const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1)
 const mapped = () => scene.grids.map?.w > 1;
 
 /** What to do first, or next. */
-function advice({ map, mapping, localised, lost, task, goals, cmd }) {
+function advice({ map, mapping, localised, lost, task, goals, cmd, comparing }) {
+  if (comparing) return "Paused: does the scan lie on the walls? Wiggle lets the particles converge, Resume goes on.";
   if (task) return "";
   if (mapping) return cmd.some(Boolean) ? "" : "Drive with W A S D: the map grows with what the robot sees. Save it when it is complete.";
   if (map == null && mapped()) return "Save the map and load it: then the robot can localise on it and drive to goals.";

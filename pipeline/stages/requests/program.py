@@ -1,0 +1,32 @@
+"""A request for somebody else's program: only campaigns make it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from turtlebag.pipeline.stages.requests.request import Request
+
+# A path below the program's folder.
+FileName = Annotated[str, Field(pattern=r"^\w[\w.-]*(/\w[\w.-]*)*$")]
+
+
+class ProgramRequest(Request):
+    """A program that makes a trajectory or a map of a recording.
+
+    `{out}` in a word of `command` is the folder to write into; `trajectory` and `map` name what it leaves
+    there: poses in the TUM format, and a map yaml. `odometry` are its poses before any loop is closed.
+    """
+
+    VERB = "program"
+    EXAMPLE = ""
+
+    command: Annotated[tuple[str, ...], Field(min_length=1)]
+    trajectory: FileName | None = None
+    map: FileName | None = None
+    odometry: FileName | None = None
+    truth: Path | None = None
+    relations: Path | None = None
+    time_limit_s: float = Field(default=600.0, gt=0.0, allow_inf_nan=False)

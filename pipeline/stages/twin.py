@@ -1,0 +1,199 @@
+"""Stage `twin`: a bag in; its map, world and robot out, and the same drive real beside simulated."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json
+from turtlebag.datasets.parts import source_files
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.datasets.yaml_files import config_text
+from turtlebag.pipeline.identify.identify import Identification, Streams, identified, require_motion
+from turtlebag.pipeline.slam.graph.edits import Edits
+from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam
+from turtlebag.pipeline.stages.identify import write_identification
+from turtlebag.pipeline.stages.localise import LocaliseConfig, aligned_in_time, run_amcl
+from turtlebag.pipeline.stages.map import map_scans, save_mapped
+from turtlebag.pipeline.stages.map_summary import Mapped, summary
+from turtlebag.pipeline.stages.record import Scene, record_drive
+from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
+from turtlebag.pipeline.stages.sources import Source
+from turtlebag.pipeline.terminal.messages import log, log_notes, track
+from turtlebag.pipeline.twin.comparison import Difference, compare
+from turtlebag.pipeline.twin.driver import Drive
+from turtlebag.pipeline.twin.samples import Samples, apart, samples_of
+from turtlebag.reports.figures.album import Album
+from turtlebag.reports.metrics.trajectory import associate
+from turtlebag.reports.twin import draw_twin, twin_page
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.simulator import SimConfig
+from turtlebag.sim.surroundings import Surroundings
+from turtlebag.sim.worlds import load_world
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A drive that was mapped and localised, and what it looks like."""
+
+    mapped: SlamResult
+    samples: Samples
+
+
+def make_twin(
+    source: Source,
+    base: RobotSpec,
+    out: Output,
+    *,
+    drives: int = 3,
+    seed: int = 1,
+    config: ConfigSource = None,
+    settings: Chosen = (),
+    files: dict[str, Path] | None = None,
+) -> int:
+    """Write the twin of a recording, and drive it `drives` times; 0. `files` are those of `base`.
+
+    InputError for a recording without scans, odometry or motion, or with no place to start from on its map.
+    """
+    watch, settled = Stopwatch(), load_config(SlamConfig, config, settings)
+    recording = source.load()
+    require_motion(recording)
+    mapped = map_scans([recording], settled, None, Edits(), explain=False)
+    result = mapped.result
+    assert isinstance(result, SlamResult)
+    log_notes(recording.notes)
+    streams = Streams.of(source.path)
+    found = identified(recording, result.session, base, streams)
+    with out.staged() as folder:
+        _write(mapped, found, folder, source.path)
+        drive = _start(Drive.of(result.trajectory, streams.commands), folder, found.robot)
+        _write_world(folder, drive.path.poses[0], source.path)
+        real = _looked(recording, result, result.grid, result.trajectory, seed)
+        simulated = [_simulated(folder, found, drive, settled, result.grid, seed, k) for k in range(drives)]
+        differences = compare(real.samples, [one.samples for one in simulated])
+        _write_page(folder, source.path, found, differences, real, simulated)
+        parts = settled.parts()
+        inputs = {"source": source.path, **(files or {}), **source_files(parts)}
+        metrics = metrics_of(recording, drives, differences)
+        out.finish(
+            folder, "twin", inputs, metrics=metrics, config=config_text(settled), seed=seed,
+            extra={"robot": base.name, "parts": parts},
+        )  # fmt: skip
+    _tell(differences, out.folder, watch.seconds())
+    return 0
+
+
+def metrics_of(recording: Recording, drives: int, differences: list[Difference]) -> dict[str, Any]:
+    """metrics.json."""
+    apart = [one.quantity.name for one in differences if one.differs]
+    return {
+        "scans": len(recording), "log_s": recording.duration(), "drives": drives, "told_apart": apart,
+        "quantities": {one.quantity.name: one.as_metrics() for one in differences},
+    }  # fmt: skip
+
+
+def _write(mapped: Mapped, found: Identification, folder: Path, source: Path) -> None:
+    """The map as `map` writes it, and the robot as `identify` does, its own two files on top."""
+    (folder / "map").mkdir()
+    save_mapped(mapped, folder / "map", None)
+    write_json(
+        folder / "map" / "metrics.json", {**summary(mapped.recording, mapped.result), **mapped.metrics}
+    )
+    (folder / "map" / "config.yaml").write_text(config_text(mapped.config))
+    (folder / "identify").mkdir()
+    write_identification(found, folder / "identify", source)
+    for name in ("robot.yaml", "identify.json"):
+        (folder / "identify" / name).rename(folder / name)
+
+
+def _write_world(folder: Path, spawn: SE2, source: Path) -> None:
+    """The world file: the map's walls; what is unknown there stops neither beams nor the robot."""
+    data = {
+        "name": f"twin_of_{source.stem}",
+        "robot": "burger",
+        "spawn": [round(value, 6) for value in spawn.xyt.tolist()],
+        "shapes": [{"kind": "map", "file": "map/map.yaml", "unknown": "free"}],
+    }
+    (folder / "world.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
+
+
+def _start(drive: Drive, folder: Path, robot: RobotSpec) -> Drive:
+    """The drive from the first place on that is free on the map; InputError where none is."""
+    _write_world(folder, drive.path.poses[0], Path("twin"))
+    around = Surroundings(load_world(str(folder / "world.yaml")), robot, 0)
+    for number in range(0, len(drive.path) // 2, 5):
+        try:
+            around.require_free(drive.path.poses[number], "start")
+        except InputError:
+            continue
+        return drive.later(number)
+    raise InputError("twin: the robot has no place to stand where it drove, by its own map")
+
+
+def _simulated(
+    folder: Path,
+    found: Identification,
+    drive: Drive,
+    config: SlamConfig,
+    grid: OccupancyGrid,
+    seed: int,
+    number: int,
+) -> Looked:
+    """One drive in the twin, by a robot drawn from the intervals; recorded and read again as a bag is."""
+    robot = found.drawn(stream(seed, f"twin robot {number}"))
+    world = load_world(str(folder / "world.yaml"))
+    start, sim_seed = drive.path.poses[0], seed + number
+    scene = Scene("world.yaml", "robot.yaml", world, robot, SimConfig().resolved(robot), start, sim_seed)
+    with tempfile.TemporaryDirectory() as place:
+        there = Path(place) / "drive"
+        if record_drive(scene, drive.driver(), "twin", Output(there), tell=False) >= 128:
+            raise KeyboardInterrupt
+        recording = load_recording(there)
+        truth = load_tum(there / "truth" / "trajectory.tum")
+    return _looked(recording, run_slam(recording, config, track), grid, truth, sim_seed)
+
+
+def _looked(
+    recording: Recording, mapped: SlamResult, grid: OccupancyGrid, reference: Trajectory, seed: int
+) -> Looked:
+    """What a drive looks like; `reference` is where it was on `grid`."""
+    first = reference.poses[0]
+    localised = run_amcl(aligned_in_time(recording), grid, first, LocaliseConfig(), stream(seed, "amcl"))
+    samples = samples_of(recording, mapped, grid, localised.trajectory)
+    errors = associate(localised.trajectory, reference).position_errors()
+    return Looked(mapped, {**samples, "localisation": errors[:: apart(recording)]})
+
+
+def _write_page(
+    folder: Path,
+    source: Path,
+    found: Identification,
+    differences: list[Difference],
+    real: Looked,
+    simulated: list[Looked],
+) -> None:
+    album = Album(folder / "figures")
+    draw_twin(differences, real.mapped.grid, simulated[0].mapped.grid, album)
+    shown = sum(one.observable for one in found.estimates)
+    about = {"base": found.base.name, "shown": shown, "total": len(found.estimates), "drives": len(simulated)}
+    (folder / "index.html").write_text(twin_page(source.name, about, differences, album.pictures))
+
+
+def _tell(differences: list[Difference], folder: Path, wall_s: float) -> None:
+    apart_ones = [one for one in differences if one.differs]
+    for one in apart_ones[:3]:
+        log.info(f"{one.quantity.label}: {one.sentence}")
+    log.info(
+        f"real and simulated differ in {len(apart_ones)} of {len(differences)} quantities, in {wall_s:.1f} s "
+        f"-> {folder / 'index.html'}"
+    )
