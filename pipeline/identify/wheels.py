@@ -30,8 +30,8 @@ AROUND_S = 0.05
 BENT_S = 0.15
 # A drive shows a variance if the logarithm of it is known to within this.
 KNOWN = 1.0
-# Errors of a map are neither white nor a walk. What that does to the logarithms of both variances, to the
-# scale, the bias and the delay of turns, and to scale and bias of a gyro, by the robots of `make bench-twin`.
+# Errors of a map are neither white nor a walk. What that does to the logarithms of both variances, to scale,
+# bias and delay of the turns, and to scale and bias of a gyro, as the robots of `make bench-twin` have it.
 MODEL = np.array([0.15, 0.6])
 TURNS_MODEL, GYRO_MODEL = np.array([0.0025, 0.001, 0.0028]), np.array([0.0006, 3e-5])
 
