@@ -304,29 +304,14 @@ def _turns(recording: Recording, base: LidarErrors, found: Findings) -> None:
 def _periods(gaps: Array, period: float) -> list[Estimate]:
     """Rate [Hz], jitter and the spread of late stamps [s], end to end, by times between stamps (n,) [s]."""
     if np.std(gaps) < EXACT_S:
-        rate = Estimate("rate", 1.0 / period, 0.0, "Hz", STAMPS_EQUATION)
-        return [
-            rate,
-            *(Estimate(n, 0.0, 0.0, u, STAMPS_EQUATION) for n, u in (("jitter", "1"), ("late_spread", "s"))),
-        ]
-    ones = np.ones((len(gaps), 1))
-    good = np.ones(len(gaps), bool)
-    walk = RandomWalk((gaps - period) / period, ones, ones, np.ones((len(gaps) + 1, 1)), good)
+        exact = ("rate", 1.0 / period, "Hz"), ("jitter", 0.0, "1"), ("late_spread", 0.0, "s")
+        return [Estimate(name, value, 0.0, unit, STAMPS_EQUATION) for name, value, unit in exact]
+    ones, good = np.ones((len(gaps) + 1, 1)), np.ones(len(gaps), bool)
+    walk = RandomWalk((gaps - period) / period, ones[1:], ones[1:], ones, good)
     (off,), covariance = walk.coefficients()
-    hz = 1.0 / (period * (1.0 + float(off)))
-    found = [
-        Estimate(
-            "rate",
-            hz,
-            hz * float(covariance[0, 0]) ** 0.5,
-            "Hz",
-            STAMPS_EQUATION,
-            "",
-            len(gaps),
-            True,
-            "stamps",
-        )
-    ]
+    rate = 1.0 / (period * (1.0 + float(off)))
+    sigma, freedom = rate * float(covariance[0, 0]) ** 0.5, len(gaps)
+    found = [Estimate("rate", rate, sigma, "Hz", STAMPS_EQUATION, "", freedom, True, "stamps")]
     values = np.exp(0.5 * walk.logs) * [1.0, np.sqrt(12.0) * period]
     for name, unit, value, of_log in zip(
         ("jitter", "late_spread"), ("1", "s"), values.tolist(), walk.deviations(), strict=True

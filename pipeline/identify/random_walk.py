@@ -60,8 +60,8 @@ class RandomWalk:
         """Those of the design (p,), and their covariance."""
         products, _ = self._products(self.logs)
         p = len(products) - 1
-        covariance: Array = np.asarray(np.linalg.inv(products[:p, :p] + 1e-9 * np.eye(p)), dtype=np.float64)
-        return covariance @ products[:p, p], covariance
+        covariance = np.linalg.inv(products[:p, :p] + 1e-9 * np.eye(p))
+        return np.asarray(covariance @ products[:p, p]), np.asarray(covariance, dtype=np.float64)
 
     def deviations(self) -> Array:
         """Standard deviations of the logarithms, (s + r,), by the curvature of the likelihood."""
