@@ -42,7 +42,7 @@ _HOMES = {
         "plan",
         "report",
         "compare",
-    ),  # fmt: skip
+    ),
     "turtlebag.api.tasks": ("Patrol", "Goal", "Avoid", "Explore"),
     "turtlebag.api.outputs": ("Bag", "Map"),
     "turtlebag.api.results": (
@@ -70,8 +70,8 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "Avoid", "Bag", "Comparison", "Explore", "Goal", "Identification", "InputError", "LidarSpec",
     "Localisation", "Localiser", "Map", "Mapper", "NoPath", "Patrol", "Plan", "Planner", "Report", "Run",
-    "SE2", "Scan", "Simulator", "System", "Table", "Trajectory", "Twin", "compare", "identify", "localise", "map",
-    "navigate", "plan", "record", "report", "twin", "verbose",
+    "SE2", "Scan", "Simulator", "System", "Table", "Trajectory", "Twin", "compare", "identify",
+    "localise", "map", "navigate", "plan", "record", "report", "twin", "verbose",
 ]  # fmt: skip
 
 

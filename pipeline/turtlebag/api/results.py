@@ -170,7 +170,7 @@ class Identification(_Page):
 
 
 class Twin(_Page):
-    """The result of `twin`: a world, a robot and a map of one recording, and the page real beside simulated."""
+    """The result of `twin`: world, robot and map of a recording, and the page real beside simulated."""
 
     kind = "twin"
 
