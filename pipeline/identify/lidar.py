@@ -313,12 +313,12 @@ def _periods(gaps: Array, period: float) -> list[Estimate]:
     good = np.ones(len(gaps), bool)
     walk = RandomWalk((gaps - period) / period, ones, ones, np.ones((len(gaps) + 1, 1)), good)
     (off,), covariance = walk.coefficients()
-    rate = 1.0 / (period * (1.0 + float(off)))
+    hz = 1.0 / (period * (1.0 + float(off)))
     found = [
         Estimate(
             "rate",
-            rate,
-            rate * float(covariance[0, 0]) ** 0.5,
+            hz,
+            hz * float(covariance[0, 0]) ** 0.5,
             "Hz",
             STAMPS_EQUATION,
             "",

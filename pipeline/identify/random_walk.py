@@ -60,7 +60,7 @@ class RandomWalk:
         """Those of the design (p,), and their covariance."""
         products, _ = self._products(self.logs)
         p = len(products) - 1
-        covariance = np.linalg.inv(products[:p, :p] + 1e-9 * np.eye(p))
+        covariance: Array = np.asarray(np.linalg.inv(products[:p, :p] + 1e-9 * np.eye(p)), dtype=np.float64)
         return covariance @ products[:p, p], covariance
 
     def deviations(self) -> Array:
