@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,7 @@ from turtlebag.reports.kinds import KINDS, stage_metrics, verdict
 from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.map import walls_in
 from turtlebag.reports.metrics.trajectory import associate
-from turtlebag.reports.numbers import Row, leaves, lookup, shown
+from turtlebag.reports.numbers import Row, finite, leaves, lookup, shown
 from turtlebag.reports.stages import Group, Stage
 
 
@@ -77,7 +76,7 @@ def compare(a: Stage, b: Stage) -> Comparison:
     for spec in SPECS[a.kind]:
         one, other = lookup(metrics_a, spec.path), lookup(metrics_b, spec.path)
         if one is not None or other is not None:
-            rows.append(Change(spec, (_number(one), _number(other))))
+            rows.append(Change(spec, (finite(one), finite(other))))
     files = sorted(set(a.manifest.outputs) & set(b.manifest.outputs))
     same = [path for path in files if a.manifest.outputs[path] == b.manifest.outputs[path]]
     settings = changed_settings(a.config, b.config)
@@ -85,10 +84,6 @@ def compare(a: Stage, b: Stage) -> Comparison:
     source = same_input(a, b) if known else None
     verdicts = verdict(a, metrics_a), verdict(b, metrics_b)
     return Comparison(verdicts, rows, settings, same, sorted(set(files) - set(same)), source)
-
-
-def _number(value: Any) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
 
 
 def changed_settings(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, str, str]]:

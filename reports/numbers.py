@@ -118,6 +118,11 @@ def lookup(metrics: Mapping[str, object], path: str) -> Any:
     return node
 
 
+def finite(value: Any) -> float | None:
+    """A value of metrics as a number; None for what is none, or not finite."""
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+
+
 def sections_of(stage: Stage, metrics: Mapping[str, Any], prefix: str) -> list[tuple[Section, list[Number]]]:
     """The known numbers of a stage that its metrics hold, in reading order under their headings."""
     found = []

@@ -34,7 +34,7 @@ VERBS = {
     "navigate": "run a task in closed loop: patrol, goal, avoid or explore",
     "plan": "plan a path on a map",
     "report": "make an HTML report from the outputs of other commands",
-    "compare": "compare two outputs of the same command, or ours with another system's",
+    "compare": "compare outputs or runs of the same command, or ours with another system's",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
     "verify": "run a report and its stages again, and compare every file and number",
     "bag": "inspect, play, repair and convert bags",

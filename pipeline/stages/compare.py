@@ -1,4 +1,4 @@
-"""Compare two outputs of one stage, or one with what other systems made, as a table and as a page."""
+"""Compare outputs of one stage, or one with what other systems made, as a table and as a page."""
 
 from __future__ import annotations
 
@@ -17,27 +17,62 @@ from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequ
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
-from turtlebag.reports.stages import load_stage
+from turtlebag.reports.run_comparison import RunComparison, compare_runs
+from turtlebag.reports.stages import Stage, load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
 
 
-def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
-    """The comparison of two outputs, or of ours and other systems'; with `out` as a page too."""
+def compare_as_asked(
+    request: CompareRequest, out: Output | None
+) -> Comparison | RunComparison | SystemComparison:
+    """The comparison of outputs or runs, or of ours and other systems'; with `out` as a page too."""
     out = out and recorded(request, out)
     for name, path in request.b:
         if not name and not path.exists():
             raise InputError(f"{path}: no such output, trajectory or map")
     if not any(not name and path.is_dir() for name, path in request.b):
         return compare_with_systems(request.a, systems_of(request, request.b), out)
-    if len(request.b) > 1:
-        raise InputError("compare takes two outputs, or one output and files of other systems")
-    ((_, other),) = request.b
+    folders = [request.a, *(path for name, path in request.b if not name and path.is_dir())]
+    if len(folders) <= len(request.b):
+        raise InputError("compare takes outputs, or one output and files of other systems, not both")
     for option in SYSTEM_OPTIONS:
         if getattr(request, option):
             raise InputError(
-                f"{flag_of(option)}: only for files of other systems; {other} is an output of turtlebag"
+                f"{flag_of(option)}: only for files of other systems; {folders[1]} is an output of turtlebag"
             )
-    return compare_outputs(request.a, other, out)
+    if len(folders) == 2 and all((folder / "manifest.json").is_file() for folder in folders):
+        return compare_outputs(*folders, out)
+    return compare_sides(folders, out)
+
+
+def compare_sides(folders: Sequence[Path], out: Output | None = None) -> RunComparison:
+    """Numbers and settings of several sides: each folder is an output, or holds the outputs of several runs.
+
+    With `out` also `index.html`, `metrics.json` and the manifest.
+    """
+    sides = [(folder.resolve().name, _runs(folder)) for folder in folders]
+    found = compare_runs(sides)
+    if out is None:
+        return found
+    commands = [
+        command_of(run, f"{side.letter}/{run.folder.name}") for side in found.sides for run in side.stages
+    ]
+    with out.staged() as partial:
+        (partial / "index.html").write_text(fill("compare_runs.html.j2", found=found, commands=commands))
+        inputs = {side.letter: folder for side, folder in zip(found.sides, folders, strict=True)}
+        out.finish(partial, "compare", inputs, metrics=found.metrics)
+    return found
+
+
+def _runs(folder: Path) -> list[Stage]:
+    if folder.is_dir() and not (folder / "manifest.json").is_file():
+        runs = [
+            path.parent for path in sorted(folder.glob("*/manifest.json")) if path.parent.suffix != ".partial"
+        ]
+        if not runs:
+            raise InputError(f"{folder}: is no finished output, and holds none")
+        return [load_stage(run) for run in runs]
+    return [load_stage(folder)]
 
 
 def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:

@@ -20,7 +20,7 @@ STAGES = {
     "report record --system map.tum": "...other systems are compared with an output of map...",
     "report --index empty": "...no finished outputs in it...",
     "compare map record": "...nothing to compare...",
-    "compare map map map": "...takes two outputs...",
+    "compare map map 5.tum": "...takes outputs, or one output and files of other systems, not both",
     "compare map map --system-shift 1": "--system-shift: only for files of other systems...",
     "compare map nothing.tum": "...no such output, trajectory or map...",
 }

@@ -91,20 +91,30 @@ class ReportRequest(SystemsRequest):
 
 
 class CompareRequest(SystemsRequest):
-    """The differences between two outputs of one stage, or between ours and other systems'."""
+    """The differences between outputs or runs of one stage, or between ours and other systems'."""
 
     VERB = "compare"
     EXAMPLE = (
         "turtlebag compare data/maps/a cartographer=poses.tum cartographer=map.yaml --out data/comparison"
     )
 
-    a: Annotated[Path, file("A", "output of record, map, localise, plan or navigate", "map", positional=True)]
+    a: Annotated[
+        Path,
+        file(
+            "A",
+            "output of record, map, localise, plan or navigate; or a folder with such outputs, one for each "
+            "run (seed) of a system",
+            "map",
+            positional=True,
+        ),
+    ]
     b: Annotated[
         tuple[SystemFile, ...],
         Option(
             "B|[NAME=]FILE",
-            "another output of the same stage; or files of other systems: trajectories (TUM, KITTI, EuRoC "
-            "csv) and maps (yaml), the two of one system under one NAME",
+            "other outputs of the same stage, or folders of runs, each compared with A and in pairs of one "
+            "seed; or files of other systems: trajectories (TUM, KITTI, EuRoC csv) and maps (yaml), the two "
+            "of one system under one NAME",
             "map2",
             positional=True,
         ),

@@ -219,7 +219,14 @@ class Comparison(_Page):
 
     @cached_property
     def numbers(self) -> Table:
-        """One row per number: its name in metrics.json, then a column for A and B, or for each system."""
+        """One row per number: its name in metrics.json, then a column for A and B, or for each system; of
+        several runs their median."""
+        sides = self.metrics.get("sides")
+        if sides is not None:
+            medians = {
+                name: [one["median"] for one in side["numbers"].values()] for name, side in sides.items()
+            }
+            return Table({"number": [*sides["A"]["numbers"]], **medians})
         systems = self.metrics.get("systems")
         if systems is None:
             columns = {name: [pair[k] for pair in self.metrics.values()] for k, name in enumerate("AB")}
@@ -233,6 +240,8 @@ class Comparison(_Page):
     def _mood_and_verdict(self) -> tuple[str, str]:
         if "systems" in self.metrics:
             return "neutral", SystemComparison(cast(SystemsMetrics, self.metrics), []).sentence
+        if "sides" in self.metrics:
+            return "neutral", str(self.metrics["sentence"])
         differ = sum(a != b for a, b in self.metrics.values())
         return "neutral", f"{differ} of {len(self.metrics)} numbers differ."
 

@@ -196,6 +196,7 @@ def compare(
 ) -> Comparison:
     """Compare two outputs of one step, or ours with other systems' results for one recording.
 
+    Each may also be a folder of outputs, one for each run: then the differences are judged by the spread.
     `systems` are files or `System`s by the systems' names, instead of `other`. InputError for outputs of two
     kinds, and for systems that cannot be read or compared.
     """
