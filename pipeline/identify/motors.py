@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
@@ -77,7 +76,7 @@ def _asked(stamps_ns: Stamps, told: Array, recording: Recording, times: Array) -
     return np.where(k >= 0, told[order][np.maximum(k, 0)], 0.0)
 
 
-def _costs(speed: Array, asked: Array, after: Array, dt: Array) -> NDArray[np.float32]:
+def _costs(speed: Array, asked: Array, after: Array, dt: Array) -> Array:
     """Squared differences of the speed (n,) from what each delay and acceleration makes of the commands,
     summed in each part of the drive, (PARTS, delays, accelerations)."""
     value = np.zeros((len(asked), len(after)))
