@@ -36,7 +36,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio studio-pictures notebooks record map navigate report verify dist docs lint test browser clean \
-  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
+  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -121,7 +121,7 @@ studio-pictures: $(READY) ## the pictures of the studio in README and docs, take
 notebooks: $(READY) ## run the notebooks and keep what they show   (needs `.venv/bin/pip install -e '.[notebooks]'`)
 	$(PY) .ci/site/notebooks.py docs/notebooks
 
-bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
+bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
 results: $(READY) ## the tables of docs/results.md, each row over at least ten seeds (TURTLEBAG_DATA=folder of the public logs)
 	$(PY) -m benchmarks.results
 bench-sim: $(READY) ## simulated seconds per second, by world and robot
@@ -136,6 +136,8 @@ bench-coverage: $(READY) ## whether uncertainty and verdicts are true: maps and 
 	$(PY) .ci/site/reliability_figure.py data/benchmarks/coverage docs/images/reliability.svg
 bench-localise: $(READY) ## localisation: accuracy, speed, global, kidnapped
 	$(PY) -m benchmarks.localise
+bench-twin: $(READY) ## what identify finds of robots with hidden parameters: coverage of the intervals
+	$(PY) -m benchmarks.twin
 bench-plan: $(READY) ## planners: time, length, clearance, success
 	$(PY) -m benchmarks.plan
 bench-navigate: $(READY) ## campaigns of runs: patrol, goals, avoidance, BARN

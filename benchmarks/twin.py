@@ -219,9 +219,9 @@ def right(rows: list[Row]) -> list[Row]:
 
 def suites(args: Namespace) -> dict[str, Suite]:
     """Both suites."""
-    per_place = range(101, 101 + -(-args.robots // len(PLACES)))
+    per_place = range(201, 201 + -(-args.robots // len(PLACES)))
     rows = [(place, seed) for seed in per_place for place in PLACES]
-    drives = every(partial(observability), place=("house", "office"), seed=(101, 102), drive=HIDDEN)
+    drives = every(partial(observability), place=("house", "office"), seed=(201, 202), drive=HIDDEN)
     return {
         "coverage": Suite(
             each(coverage, ("place", "seed"), rows), summary=held, quick=3, code=CODE, show=False

@@ -18,9 +18,9 @@ MAY_IMPORT = {
     "pipeline/slam": ["datasets"],
     "pipeline/slam3d": ["datasets", "pipeline/slam"],
     "pipeline/localisation": ["datasets"],
+    "pipeline/identify": ["datasets", "sim", "pipeline/slam"],
     "pipeline/terminal": ["datasets", "sim"],
     "pipeline/navigation": [*BELOW, "pipeline/slam", "pipeline/localisation", "pipeline/terminal"],
-    "pipeline/identify": ["datasets", "sim", "pipeline/slam"],
     "pipeline/twin": ["datasets", "sim", "pipeline/slam", "pipeline/identify"],
 }
 MAY_IMPORT["pipeline/studio"] = [*MAY_IMPORT]

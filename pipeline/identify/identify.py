@@ -14,7 +14,7 @@ from turtlebag.datasets.bags.reader import read_drive
 from turtlebag.datasets.bags.source import is_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.motion import way_and_turn
-from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.identify.estimates import Estimate, Findings, Plot, unknown
 from turtlebag.pipeline.identify.lidar import lidar_findings
@@ -30,8 +30,12 @@ from turtlebag.pipeline.slam.sensors.setup_estimate import BETTER
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.sim.robots import RobotSpec
 
+# Late stamps show as a lidar that sits elsewhere [m], as the robots of `make bench-twin` have it.
+POSE_MODEL_M = 0.001
 # A robot that drives and turns less than this [m, rad] does not move.
 LEAST_WAY_M, LEAST_TURN_RAD = 0.5, 0.5
+# Stretches that are drawn: this long [m], and straight within this [rad].
+STRETCH_M, STRAIGHT_RAD = 0.75, 0.1
 SETUP_EQUATION = "scans: T_lidar^-1 T_odom(scales) T_lidar, over 1.5 m or a radian (Censi et al. 2013)"
 RANGE_EQUATION = "reading = r + known_offset + known_square r^2, by walls seen from several ranges"
 TIMES_EQUATION = "turns of scans and odometry; the times of the beams at which scans match best"
@@ -143,6 +147,8 @@ def identified(
     estimates = [one for part in parts for one in part.estimates]
     plots = {name: plot for part in parts for name, plot in part.plots.items()}
     estimates = _by_the_ruler(_with_stamps(estimates, base), session, base)
+    scale = next(one.value for one in estimates if one.name == "wheel_scale")
+    plots |= _way_plot(own, poses, scale)
     return Identification(recording, session, base, tuple(estimates), plots)
 
 
@@ -163,7 +169,7 @@ def _setup(recording: Recording, session: Session, base: RobotSpec) -> Findings:
         if one.name in BY_TURNS or one.name[-2:] in OF_OTHERS:
             continue
         equation = TIMES_EQUATION if one.name in ("sweep", "first_beam") else SETUP_EQUATION
-        sigma = one.sigma
+        sigma = float(np.hypot(one.sigma, POSE_MODEL_M)) if one.unit == "m" else one.sigma
         why = "" if one.observable else whys[one.name.split("_")[0]]
         if one.name == "sweep" and recording.lidar.time_increment == 0.0 and one.value == 0.0:
             why = why or "all beams have one time"
@@ -185,6 +191,24 @@ def _setup(recording: Recording, session: Session, base: RobotSpec) -> Findings:
             why = "no two scans match over a baseline of driving"
             found.estimates.append(unknown(name, value, unit, SETUP_EQUATION, why))
     return found
+
+
+def _way_plot(recording: Recording, T_map_base: SE2, scale: float) -> dict[str, Plot]:
+    """How much farther the map says it went than the odometry does, over straight stretches."""
+    assert recording.T_odom_base is not None
+    so_far = np.append(0.0, np.cumsum(way_and_turn(recording.T_odom_base.steps())[:, 0]))
+    rows = np.unique(np.searchsorted(so_far, np.arange(0.0, so_far[-1], STRETCH_M)))
+    rows = rows[rows < len(recording)]
+    steps = [part[rows].steps() for part in (recording.T_odom_base, T_map_base)]
+    straight = np.abs(steps[0][:, 2]) < STRAIGHT_RAD
+    odom, by_map = (np.hypot(*part[straight, :2].T) for part in steps)
+    ends = np.array([0.0, float(odom.max(initial=0.1))])
+    plot = Plot(
+        "Scale of the ways", "Straight stretches: way by the map less that by the odometry; line: the scale.",
+        "way by the odometry [m]", "farther by the map [mm]",
+        {"stretches": (odom, 1e3 * (by_map - odom))}, {"wheel_scale": (ends, 1e3 * (scale - 1.0) * ends)},
+    )  # fmt: skip
+    return {"ways": plot}
 
 
 def _ranges(session: Session) -> Findings:

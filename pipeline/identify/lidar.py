@@ -32,6 +32,8 @@ ON_ONE_WALL = 3.0
 ACROSS, ASIDE_RAD = 0.7, 0.002
 # Not all that looks like a wall is one: by so large a share each number may be wrong for it.
 MODEL, LOST_MODEL = np.array([0.01, 0.015, 0.03]), np.array([0.02, 0.03])
+# Variance of a unit Gaussian that is cut at three standard deviations; units of the file by those of the fit.
+TRUNCATED, TO_FIT = 0.97334, np.array([1.0, 1.0, np.rad2deg(1.0)])
 # Steps of the readings that are looked for [m].
 STEPS_M = (0.05, 0.04, 0.025, 0.02, 0.01, 0.005, 0.004, 0.0025, 0.002, 0.001, 0.0005, 0.00025)
 NOISE_EQUATION = "var(r) = sigma^2 + (sigma_square r^2)^2 + (angle r tan(i))^2 + resolution^2 / 12"
@@ -139,6 +141,38 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
         why = "too few straight walls" if len(r) else "no straight walls"
         found.estimates += [unknown(n, getattr(base, n), u, NOISE_EQUATION, why) for n, u in names.items()]
         return
+    sums, columns, slant = _noise_bins(r, tan, off, part)
+
+    def fitted(sums: Array) -> Array:
+        n = np.maximum(sums[1], 1.0)
+        measured = np.maximum(sums[0] / n - step**2 / 12.0, 1e-10)
+        weight = np.sqrt(n) / (measured + step**2 / 12.0)
+        parts, _ = scipy.optimize.nnls(columns * weight[:, None], measured * weight)
+        return np.sqrt(parts) * TO_FIT
+
+    values, sigmas, freedom = jackknife(sums, fitted)
+    sigmas = np.hypot(sigmas, MODEL * values)
+    whole = sums.sum(axis=0)
+    far = float(np.quantile(r, 0.99))
+    for (name, unit), value, sigma in zip(names.items(), values.tolist(), sigmas.tolist(), strict=True):
+        why = "" if np.isfinite(sigma) else "too short a drive"
+        if name == "sigma_square" and value <= 2.0 * sigma:
+            why = f"not told from the constant noise within {far:.1f} m"
+        if name == "angle_deg" and value <= 2.0 * sigma:
+            why = "no more noise on slanting walls than on others"
+        if name == "sigma" and value <= 2.0 * sigma:
+            why = "less than the other noise"
+        found.estimates.append(
+            unknown(name, value if np.isfinite(sigma) else getattr(base, name), unit, NOISE_EQUATION, why)
+            if why
+            else Estimate(name, value, sigma, unit, NOISE_EQUATION, "", freedom, True, "noise")
+        )
+    _plot_noise(whole, columns, slant, np.sqrt(columns @ np.square(values / TO_FIT) + step**2 / 12.0), found)
+
+
+def _noise_bins(r: Array, tan: Array, off: Array, part: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Sums of squares and counts of differences (m,) in each part, by bins of range and incidence, (PARTS, 2,
+    bins); what each kind of noise adds to a bin's variance, (bins, 3); how slanting each bin's walls are."""
     radial = np.floor(np.log(r) / np.log(FACTOR)).astype(int)
     kind = (radial - radial.min()) * 4 + np.digitize(tan, [0.4, 1.0, 2.0])
     kinds = [k for k in np.unique(kind) if np.count_nonzero(kind == k) >= ENOUGH]
@@ -155,52 +189,20 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
         counts[:, column] = np.bincount(rows, minlength=PARTS)
         centres[column] = np.mean(r[own] ** 4), np.mean((r[own] * tan[own]) ** 2)
     columns = np.column_stack([np.ones(len(kinds)), centres])
+    return np.stack([variances, counts], axis=1), columns, np.array([k % 4 for k in kinds])
 
-    def fitted(sums: Array) -> Array:
-        n = np.maximum(sums[1], 1.0)
-        measured = np.maximum(sums[0] / n - step**2 / 12.0, 1e-10)
-        weight = np.sqrt(n) / (measured + step**2 / 12.0)
-        parts, _ = scipy.optimize.nnls(columns * weight[:, None], measured * weight)
-        return np.sqrt(parts) * [1.0, 1.0, np.rad2deg(1.0)]
 
-    sums = np.stack([variances, counts], axis=1)
-    values, sigmas, freedom = jackknife(sums, fitted)
-    sigmas = np.hypot(sigmas, MODEL * values)
-    whole = sums.sum(axis=0)
-    far = float(np.quantile(r, 0.99))
-    for (name, unit), value, sigma in zip(names.items(), values.tolist(), sigmas.tolist(), strict=True):
-        why = "" if np.isfinite(sigma) else "too short a drive"
-        if name == "sigma_square" and sigma * far**2 > 0.5 * values[0] and value < 2.0 * sigma:
-            why = f"not told from the constant noise within {far:.1f} m"
-        if name == "angle_deg" and value < 2.0 * sigma:
-            why = "no more noise on slanting walls than on others"
-        if name == "sigma" and value < 2.0 * sigma:
-            why = "less than the other noise"
-        found.estimates.append(
-            unknown(
-                name, value if why and np.isfinite(sigma) else getattr(base, name), unit, NOISE_EQUATION, why
-            )
-            if why
-            else Estimate(name, value, sigma, unit, NOISE_EQUATION, "", freedom, True, "noise")
-        )
-    seen = np.sqrt(whole[0] / np.maximum(whole[1], 1.0)) * 1e3
-    x, model = (
-        centres[:, 0] ** 0.25,
-        np.sqrt(columns @ (values / [1, 1, np.rad2deg(1.0)]) ** 2 + step**2 / 12) * 1e3,
-    )
-    slant = np.array([k % 4 for k in kinds])
+def _plot_noise(whole: Array, columns: Array, slant: Array, model: Array, found: Findings) -> None:
+    seen, x = np.sqrt(whole[0] / np.maximum(whole[1], 1.0)), columns[:, 1] ** 0.25
     label = ("across", "slanting", "more slanting", "grazing")
+    rows = {label[s]: np.flatnonzero(slant == s) for s in range(4) if (slant == s).any()}
     found.plots["noise"] = Plot(
         "Noise of the ranges",
         "Standard deviation of a beam from what its neighbours on one wall say; lines: the fit.",
         "range [m]", "standard deviation [mm]",
-        {label[s]: (x[slant == s], seen[slant == s]) for s in range(4) if (slant == s).any()},
-        {label[s]: (x[slant == s], model[slant == s]) for s in range(4) if (slant == s).any()},
+        {name: (x[k], 1e3 * seen[k]) for name, k in rows.items()},
+        {name: (x[k], 1e3 * model[k]) for name, k in rows.items()},
     )  # fmt: skip
-
-
-# Variance of a unit Gaussian that is cut at three standard deviations.
-TRUNCATED = 0.97334
 
 
 def _lost(walls: Walls, part: NDArray[np.int64], base: LidarErrors, found: Findings) -> None:
@@ -225,9 +227,13 @@ def _lost(walls: Walls, part: NDArray[np.int64], base: LidarErrors, found: Findi
             back = np.clip((1.0 - p[0]) * (1.0 - np.exp(-np.maximum(centre, 1e-3) / p[1])), 1e-9, 1.0 - 1e-9)
             return float(-((n - gone) * np.log(back) + gone * np.log(1.0 - back)).sum())
 
-        share = gone.sum() / n.sum()
-        bounds = [(0.0, 0.9), (1e-3, 1.0)]
-        return np.asarray(scipy.optimize.minimize(cost, [share, 0.03], bounds=bounds, method="L-BFGS-B").x)
+        share, bounds = gone.sum() / n.sum(), [(0.0, 0.9), (1e-3, 1.0)]
+        # far below the usual cosines, grazing has no slope
+        ends = [
+            scipy.optimize.minimize(cost, [share, grazing], bounds=bounds, method="L-BFGS-B")
+            for grazing in (0.02, 0.08, 0.2)
+        ]
+        return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
     values, sigmas, freedom = jackknife(np.stack([seen, lost], axis=1).astype(float), fitted)
     whole, gone = seen.sum(axis=0), lost.sum(axis=0)
@@ -298,29 +304,14 @@ def _turns(recording: Recording, base: LidarErrors, found: Findings) -> None:
 def _periods(gaps: Array, period: float) -> list[Estimate]:
     """Rate [Hz], jitter and the spread of late stamps [s], end to end, by times between stamps (n,) [s]."""
     if np.std(gaps) < EXACT_S:
-        rate = Estimate("rate", 1.0 / period, 0.0, "Hz", STAMPS_EQUATION)
-        return [
-            rate,
-            *(Estimate(n, 0.0, 0.0, u, STAMPS_EQUATION) for n, u in (("jitter", "1"), ("late_spread", "s"))),
-        ]
-    ones = np.ones((len(gaps), 1))
-    good = np.ones(len(gaps), bool)
-    walk = RandomWalk((gaps - period) / period, ones, ones, np.ones((len(gaps) + 1, 1)), good)
+        exact = ("rate", 1.0 / period, "Hz"), ("jitter", 0.0, "1"), ("late_spread", 0.0, "s")
+        return [Estimate(name, value, 0.0, unit, STAMPS_EQUATION) for name, value, unit in exact]
+    ones, good = np.ones((len(gaps) + 1, 1)), np.ones(len(gaps), bool)
+    walk = RandomWalk((gaps - period) / period, ones[1:], ones[1:], ones, good)
     (off,), covariance = walk.coefficients()
     rate = 1.0 / (period * (1.0 + float(off)))
-    found = [
-        Estimate(
-            "rate",
-            rate,
-            rate * float(covariance[0, 0]) ** 0.5,
-            "Hz",
-            STAMPS_EQUATION,
-            "",
-            len(gaps),
-            True,
-            "stamps",
-        )
-    ]
+    sigma, freedom = rate * float(covariance[0, 0]) ** 0.5, len(gaps)
+    found = [Estimate("rate", rate, sigma, "Hz", STAMPS_EQUATION, "", freedom, True, "stamps")]
     values = np.exp(0.5 * walk.logs) * [1.0, np.sqrt(12.0) * period]
     for name, unit, value, of_log in zip(
         ("jitter", "late_spread"), ("1", "s"), values.tolist(), walk.deviations(), strict=True

@@ -30,14 +30,12 @@ def motor_findings(recording: Recording, commands: Commands | None, limits: Limi
         found.estimates += [unknown(name, value, unit, EQUATION, why) for name, unit, value in kinds]
         return found
     times, dt, speeds = _speeds(recording)
-    costs, wanted = [], []
+    parts, wanted = [], []
     for (_, _, usual), speed, told in zip(kinds, speeds, commands[1:], strict=True):
         after = usual * np.geomspace(0.05, 20.0, STEPS)
         asked = _asked(commands[0], told, recording, times)
         wanted.append((after, asked))
-        costs.append(_costs(speed, asked, after, dt) / max(float(np.mean(speed**2)), 1e-9))
-    rows = (np.arange(len(dt)) * PARTS) // len(dt)
-    parts = [np.stack([one[rows == k].sum(axis=0) for k in range(PARTS)]) for one in costs]
+        parts.append(_costs(speed, asked, after, dt) / max(float(np.mean(speed**2)), 1e-9))
     changes = [_changes(told) for told in commands[1:]]
     _delay(parts, changes, float(np.median(dt)), limits, found)
     best = int(np.argmin(sum(part.sum(axis=0).min(axis=1) for part in parts)))
@@ -80,16 +78,16 @@ def _asked(stamps_ns: Stamps, told: Array, recording: Recording, times: Array) -
 
 def _costs(speed: Array, asked: Array, after: Array, dt: Array) -> Array:
     """Squared differences of the speed (n,) from what each delay and acceleration makes of the commands,
-    (n, delays, accelerations)."""
+    summed in each part of the drive, (PARTS, delays, accelerations)."""
     value = np.zeros((len(asked), len(after)))
     # the limits of speed are where the robot never goes beyond
     most = float(np.quantile(np.abs(speed), 0.999)) + 1e-3
     asked = np.clip(asked, -most, most)
-    out = np.empty((len(dt), *value.shape), dtype=np.float32)
+    out = np.zeros((PARTS, *value.shape))
     for k in range(len(dt)):
         step = after * dt[k]
         value += np.clip(asked[:, k, None] - value, -step, step)
-        out[k] = (value - speed[k]) ** 2
+        out[k * PARTS // len(dt)] += (value - speed[k]) ** 2
     return out
 
 

@@ -61,7 +61,7 @@ class RandomWalk:
         products, _ = self._products(self.logs)
         p = len(products) - 1
         covariance = np.linalg.inv(products[:p, :p] + 1e-9 * np.eye(p))
-        return covariance @ products[:p, p], covariance
+        return np.asarray(covariance @ products[:p, p]), np.asarray(covariance, dtype=np.float64)
 
     def deviations(self) -> Array:
         """Standard deviations of the logarithms, (s + r,), by the curvature of the likelihood."""

@@ -30,9 +30,10 @@ AROUND_S = 0.05
 BENT_S = 0.15
 # A drive shows a variance if the logarithm of it is known to within this.
 KNOWN = 1.0
-# Errors of a map are neither white nor a walk: what that may do to the logarithms of both variances, and
-# to the delay [s].
-MODEL, DELAY_MODEL_S = np.array([0.15, 0.6]), 0.0015
+# Errors of a map are neither white nor a walk. What that does to the logarithms of both variances, to scale,
+# bias and delay of the turns, and to scale and bias of a gyro, as the robots of `make bench-twin` have it.
+MODEL = np.array([0.15, 0.6])
+TURNS_MODEL, GYRO_MODEL = np.array([0.0025, 0.001, 0.0028]), np.array([0.0006, 3e-5])
 
 
 def wheel_findings(recording: Recording, T_map_base: SE2, wheels: Wheels) -> Findings:
@@ -95,7 +96,10 @@ def gyro_findings(recording: Recording, T_map_base: SE2, bias: float) -> Finding
     y, readings = wrap(sign * by_gyro - turns), _readings(recording, rows, rate)
     walk = RandomWalk(y, design, np.column_stack([waits, np.abs(turns)]), readings, ok)
     (turned, drifted, _), covariance = walk.coefficients()
-    scale, sigmas = 1.0 / (1.0 + float(turned)), np.sqrt(np.diag(covariance)).tolist()
+    scale, sigmas = (
+        1.0 / (1.0 + float(turned)),
+        np.hypot(np.sqrt(np.diag(covariance))[:2], GYRO_MODEL).tolist(),
+    )
     values = (scale, scale**2 * sigmas[0]), (sign * float(drifted), sigmas[1])
     turn = float(np.abs(turns).sum())
     return Findings([
@@ -109,10 +113,9 @@ def gyro_findings(recording: Recording, T_map_base: SE2, bias: float) -> Finding
 def _systematic(walk: RandomWalk, found: Findings) -> None:
     """What the turns of the odometry are off by throughout."""
     (turned, drove, late), covariance = walk.coefficients()
-    sigmas = np.sqrt(np.diag(covariance)).tolist()
+    sigmas = np.hypot(np.sqrt(np.diag(covariance)), TURNS_MODEL).tolist()
     way, turn = walk.sources.sum(axis=0) * [0.5, 1.0]
     changes = float(np.abs(walk.design[:, 2]).sum())
-    sigmas[2] = float(np.hypot(sigmas[2], DELAY_MODEL_S))
     scale = 1.0 / (1.0 + float(turned))
     for name, unit, value, sigma, most, usual, why in (
         ("turn_scale", "1", scale, scale**2 * sigmas[0], 0.025, 1.0, f"it turned by only {turn:.1f} rad"),

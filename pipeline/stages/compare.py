@@ -41,7 +41,7 @@ def compare_as_asked(
                 f"{flag_of(option)}: only for files of other systems; {folders[1]} is an output of turtlebag"
             )
     if len(folders) == 2 and all((folder / "manifest.json").is_file() for folder in folders):
-        return compare_outputs(*folders, out)
+        return compare_outputs(folders[0], folders[1], out)
     return compare_sides(folders, out)
 
 

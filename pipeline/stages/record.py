@@ -188,7 +188,7 @@ def record_drive(
                 **({"interrupted": True} if interrupted else {}),
             },
         )
-    if interrupted:
+    if interrupted and tell:
         log.warning("interrupted; the recording so far is kept")
     if tell:
         log.info(

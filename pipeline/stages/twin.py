@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from turtlebag.datasets.errors import InputError
@@ -159,8 +160,14 @@ def _simulated(
         if record_drive(scene, drive.driver(), "twin", Output(there), tell=False) >= 128:
             raise KeyboardInterrupt
         recording = load_recording(there)
-        truth = load_tum(there / "truth" / "trajectory.tum")
+        truth = _undelayed(load_tum(there / "truth" / "trajectory.tum"), robot)
     return _looked(recording, run_slam(recording, config, track), grid, truth, sim_seed)
+
+
+def _undelayed(truth: Trajectory, robot: RobotSpec) -> Trajectory:
+    """The truth where the beams of the scans were taken, and not at their late stamps: as a map has it."""
+    late_ns = round(1e9 * float(np.mean(robot.lidar.errors.stamp_delay)))
+    return Trajectory(truth.stamps_ns, truth.at(truth.stamps_ns - late_ns))
 
 
 def _looked(

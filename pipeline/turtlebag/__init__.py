@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from turtlebag.api.other_systems import System
     from turtlebag.api.outputs import Bag, Map
     from turtlebag.api.planning import Planner
-    from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
+    from turtlebag.api.results import Comparison, Identification, Localisation, Plan, Report, Run, Twin
     from turtlebag.api.simulation import Simulator
-    from turtlebag.api.steps import compare, localise, map, navigate, plan, record, report
+    from turtlebag.api.steps import compare, identify, localise, map, navigate, plan, record, report, twin
     from turtlebag.api.tables import Table, Trajectory
     from turtlebag.api.tasks import Avoid, Explore, Goal, Patrol
     from turtlebag.datasets.errors import InputError
@@ -32,10 +32,28 @@ if TYPE_CHECKING:
     from turtlebag.planners.planner import NoPath
 
 _HOMES = {
-    "turtlebag.api.steps": ("record", "map", "localise", "navigate", "plan", "report", "compare"),
+    "turtlebag.api.steps": (
+        "record",
+        "map",
+        "localise",
+        "identify",
+        "twin",
+        "navigate",
+        "plan",
+        "report",
+        "compare",
+    ),
     "turtlebag.api.tasks": ("Patrol", "Goal", "Avoid", "Explore"),
     "turtlebag.api.outputs": ("Bag", "Map"),
-    "turtlebag.api.results": ("Localisation", "Run", "Plan", "Report", "Comparison"),
+    "turtlebag.api.results": (
+        "Localisation",
+        "Identification",
+        "Run",
+        "Plan",
+        "Report",
+        "Comparison",
+        "Twin",
+    ),
     "turtlebag.api.other_systems": ("System",),
     "turtlebag.api.tables": ("Trajectory", "Table"),
     "turtlebag.api.simulation": ("Simulator",),
@@ -50,10 +68,10 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Avoid", "Bag", "Comparison", "Explore", "Goal", "InputError", "LidarSpec", "Localisation", "Localiser",
-    "Map", "Mapper", "NoPath", "Patrol", "Plan", "Planner", "Report", "Run", "SE2", "Scan",
-    "Simulator", "System", "Table", "Trajectory", "compare", "localise", "map", "navigate", "plan", "record",
-    "report", "verbose",
+    "Avoid", "Bag", "Comparison", "Explore", "Goal", "Identification", "InputError", "LidarSpec",
+    "Localisation", "Localiser", "Map", "Mapper", "NoPath", "Patrol", "Plan", "Planner", "Report", "Run",
+    "SE2", "Scan", "Simulator", "System", "Table", "Trajectory", "Twin", "compare", "identify",
+    "localise", "map", "navigate", "plan", "record", "report", "twin", "verbose",
 ]  # fmt: skip
 
 

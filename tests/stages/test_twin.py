@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+import turtlebag as tb
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory, Twist
@@ -47,6 +48,14 @@ def test_a_twin_is_a_map_a_world_a_robot_and_a_page(twin):
     walls = np.argwhere(grid.cells == 100)
     assert np.mean(world.rasterize(0.18).value_at(grid.center_of(walls)) == 100) > 0.99
     assert load_robot(str(twin / "robot.yaml")).lidar.n_beams == 360
+
+
+def test_python_has_the_twins_parts(twin):
+    found = tb.Twin(twin)
+    assert found.world.is_file()
+    assert found.robot.is_file()
+    assert found.map.is_file()
+    assert [*found.quantities["name"]] == [*found.metrics["quantities"]]
 
 
 def test_the_page_says_what_differs_and_what_does_not(twin):

@@ -137,6 +137,81 @@ class _Page(Output):
             raise InputError(f"{self.path}: is an output of {self._manifest.stage}, not of {self.kind}")
 
 
+class Identification(_Page):
+    """The result of `identify`: a robot for the simulator, and the page about its parameters."""
+
+    kind = "identify"
+
+    @property
+    def robot(self) -> Path:
+        """The robot's file, for `robot` of any step."""
+        return self.path / "robot.yaml"
+
+    @cached_property
+    def parameters(self) -> Table:
+        """A row for each: name, value, low and high (the ends of the 95 % interval), unit, observable."""
+        entries = read_json(self.path / "identify.json")["parameters"]
+        ends = [entry.get("interval_95", (np.nan, np.nan)) for entry in entries.values()]
+        columns = {"value": [entry["value"] for entry in entries.values()]}
+        columns |= {"low": [low for low, _ in ends], "high": [high for _, high in ends]}
+        told = {name: [entry[name] for entry in entries.values()] for name in ("unit", "observable")}
+        return Table({"name": [*entries], **columns, **told})
+
+    @cached_property
+    def _mood_and_verdict(self) -> tuple[str, str]:
+        shown = sum(map(bool, self.parameters["observable"]))
+        return "neutral", f"{shown} of {len(self.parameters)} parameters are shown by the recording."
+
+    def _facts(self) -> dict[str, str]:
+        return {"robot": str(self.robot), "page": str(self.page)}
+
+    def _picture(self) -> str:
+        return self.parameters._repr_html_()
+
+
+class Twin(_Page):
+    """The result of `twin`: world, robot and map of a recording, and the page real beside simulated."""
+
+    kind = "twin"
+
+    @property
+    def world(self) -> Path:
+        """The world's file, for `world` of any step."""
+        return self.path / "world.yaml"
+
+    @property
+    def robot(self) -> Path:
+        """The robot's file, for `robot` of any step."""
+        return self.path / "robot.yaml"
+
+    @property
+    def map(self) -> Path:
+        """The map's YAML file."""
+        return self.path / "map" / "map.yaml"
+
+    @cached_property
+    def quantities(self) -> Table:
+        """A row for each: name, medians of both, D, Cliff's delta, p after Holm, told_apart."""
+        entries = self.metrics["quantities"]
+        columns = {
+            side: [entry[side]["median"] for entry in entries.values()] for side in ("real", "simulated")
+        }
+        for name in ("ks", "cliffs_delta", "p_holm", "told_apart"):
+            columns[name] = [entry[name] for entry in entries.values()]
+        return Table({"name": [*entries], **columns})
+
+    @cached_property
+    def _mood_and_verdict(self) -> tuple[str, str]:
+        apart, entries = self.metrics["told_apart"], self.metrics["quantities"]
+        return "neutral", f"Real and simulated differ in {len(apart)} of {len(entries)} quantities."
+
+    def _facts(self) -> dict[str, str]:
+        return {"world": str(self.world), "robot": str(self.robot), "page": str(self.page)}
+
+    def _picture(self) -> str:
+        return self.quantities._repr_html_()
+
+
 class Comparison(_Page):
     """The result of `compare`, of two outputs, or of ours and other systems."""
 

@@ -18,7 +18,7 @@ from turtlebag.api.given import PathLike, Pose
 from turtlebag.api.making import TemporaryFolder, made, takes
 from turtlebag.api.other_systems import Systems, fields_of
 from turtlebag.api.outputs import Bag, Map, as_map, robot_for
-from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
+from turtlebag.api.results import Comparison, Identification, Localisation, Plan, Report, Run, Twin
 from turtlebag.api.tasks import Task, keepout_field, task_fields
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
@@ -27,6 +27,8 @@ from turtlebag.pipeline.stages.requests.drives import TAKEN_BY, NavigateRequest,
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
+from turtlebag.pipeline.stages.requests.twins import TwinRequest
 from turtlebag.reports.system_comparison import SystemComparison
 
 
@@ -92,6 +94,46 @@ def localise(
     """
     asked = LocaliseRequest.checked(source=source, map=map, laser=_placed(laser, upside_down), **options)
     return Localisation.of(made(asked, out, force, source, map, *options.values()))
+
+
+@takes(IdentifyRequest)
+def identify(
+    source: PathLike,
+    robot: PathLike = "burger",
+    *,
+    laser: Pose | None = None,
+    upside_down: bool = False,
+    out: PathLike | None = None,
+    force: bool = False,
+    **options: Any,
+) -> Identification:
+    """Estimate the parameters of the robot that made a recording: lidar, wheels, motors and IMU.
+
+    `robot` is a name or a file, and gives what no recording shows. InputError for a recording without scans,
+    odometry or motion.
+    """
+    asked = IdentifyRequest.checked(source=source, robot=robot, laser=_placed(laser, upside_down), **options)
+    return Identification.of(made(asked, out, force, source, *options.values()))
+
+
+@takes(TwinRequest)
+def twin(
+    source: PathLike,
+    robot: PathLike = "burger",
+    *,
+    laser: Pose | None = None,
+    upside_down: bool = False,
+    out: PathLike | None = None,
+    force: bool = False,
+    **options: Any,
+) -> Twin:
+    """Make map, world and robot of a recording, drive it again, and compare real with simulated.
+
+    `robot` is a name or a file, and gives what no recording shows; `drives` is how often it drives again.
+    InputError for a recording without scans, odometry or motion.
+    """
+    asked = TwinRequest.checked(source=source, robot=robot, laser=_placed(laser, upside_down), **options)
+    return Twin.of(made(asked, out, force, source, *options.values()))
 
 
 def _placed(laser: Pose | None, upside_down: bool) -> list[Any] | None:
