@@ -11,6 +11,7 @@ from turtlebag.reports.metric_specs import SECTIONS, SPECS, MetricSpec, Section
 from turtlebag.reports.stages import Stage
 
 DASH = "\u2013"
+LARGEST = 1e100
 
 
 class Unit(NamedTuple):
@@ -119,8 +120,8 @@ def lookup(metrics: Mapping[str, object], path: str) -> Any:
 
 
 def finite(value: Any) -> float | None:
-    """A value of metrics as a number; None for what is none, or not finite."""
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+    """A value of metrics as a number; None for what is none, or larger than anything measured."""
+    return float(value) if isinstance(value, (int, float)) and abs(value) < LARGEST else None
 
 
 def sections_of(stage: Stage, metrics: Mapping[str, Any], prefix: str) -> list[tuple[Section, list[Number]]]:

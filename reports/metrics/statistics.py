@@ -15,8 +15,8 @@ RESAMPLES = 2000
 LARGE = 10_000
 """Of more values no resample is drawn, only the place of its median among the values in order."""
 CONFIDENCE = 0.95
-SAME = 1e-9
-"""Share of the largest by which values may differ and still be the same."""
+SAME, LEAST = 1e-9, 1e-60
+"""Share of the largest by which values may differ and still be the same, and the least that is not 0."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def mean_interval(values: Array) -> Interval:
     if n == 0:
         return Interval(0, None, None, None)
     mean = float(np.mean(values))
-    if n == 1 or np.ptp(values) <= SAME * np.abs(values).max():
+    if n == 1 or not _vary(values):
         return Interval(n, mean, None, None)
     half = _student(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
     return Interval(n, mean, mean - half, mean + half)
@@ -98,7 +98,7 @@ def mean_difference(a: Array, b: Array) -> Interval:
     if n == 0:
         return Interval(0, None, None, None)
     difference = float(np.mean(b) - np.mean(a))
-    if n == 1 or max(np.ptp(one) - SAME * np.abs(one).max() for one in (a, b)) <= 0.0:
+    if n == 1 or not (_vary(a) or _vary(b)):
         return Interval(n, difference, None, None)
     shares = [float(np.var(one, ddof=1)) / len(one) for one in (a, b)]
     freedom = sum(shares) ** 2 / sum(s**2 / (len(one) - 1) for s, one in zip(shares, (a, b), strict=True))
@@ -118,6 +118,10 @@ def share_difference(a: Array, b: Array) -> Interval:
     below = math.hypot(float(np.mean(b)) - other.low, one.high - float(np.mean(a)))
     above = math.hypot(other.high - float(np.mean(b)), float(np.mean(a)) - one.low)
     return Interval(n, difference, difference - below, difference + above)
+
+
+def _vary(values: Array) -> bool:
+    return bool(np.ptp(values) > max(SAME * np.abs(values).max(), LEAST))
 
 
 def _student(freedom: float) -> float:

@@ -136,6 +136,17 @@ def test_intervals_of_few_runs_hold_what_they_say():
         assert 0.02 < called < 0.065
 
 
+def test_numbers_that_nobody_measures_are_left_out_or_the_same(tmp_path, capsys):
+    """Squares of the large ones overflow, of the small ones vanish."""
+    a = side(tmp_path / "a", (1e308, -1e308, 0.1), (0.0, 1e-170, 2e-170))
+    b = side(tmp_path / "b", (-1e308, 0.2, 0.3), (1e-170, 0.0, 3e-170))
+    assert main(["compare", str(a), str(b)]) == 0
+    said = capsys.readouterr()
+    assert "(1 of 3)" in said.out
+    assert said.err == ""
+    assert said.out.splitlines()[-1] == "B against A (not in pairs): 2 no spread."
+
+
 def test_what_does_not_vary_and_what_is_single_has_no_interval():
     assert mean_interval(np.array([0.3 - 0.2, 0.1, 0.1])).low is None
     assert mean_difference(np.array([1.0]), np.array([1.0, 2.0])).low is None
