@@ -36,7 +36,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio studio-pictures notebooks record map navigate report verify dist docs lint test browser clean \
-  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks
+  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks board
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -174,6 +174,9 @@ coverage: $(READY) ## lines and branches that the tests reach, by file, also in 
 
 study-advice study-ablation study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*
+
+board: $(READY) ## the board: the standard drives, mapped by our systems; resumes if stopped
+	$(TURTLEBAG) board --out $(DATA)/board
 
 dist: $(READY) ## build the sdist, and the wheel from it, into dist/
 	$(PY) -m build --no-isolation

@@ -26,6 +26,7 @@ MAY_IMPORT = {
 MAY_IMPORT["pipeline/studio"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/stages"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/campaign"] = [*MAY_IMPORT]
+MAY_IMPORT["pipeline/board"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/setup"] = [*BELOW, "pipeline/stages", "pipeline/navigation", "pipeline/terminal"]
 MAY_IMPORT["pipeline/cli"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/conformance"] = [*BELOW, "pipeline/slam", "pipeline/localisation", "pipeline/navigation"]

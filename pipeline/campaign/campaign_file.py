@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -161,6 +161,14 @@ class Campaign(Settings):
     def names(self) -> dict[str, tuple[str, str]]:
         """What each result is called, and its unit."""
         return {key: (item.label or key.replace("_", " "), item.unit) for key, item in self.results.items()}
+
+    def with_only(self, levels: Mapping[str, Sequence[Scalar]]) -> Campaign:
+        """The same with these levels of these factors and no others."""
+        cut: dict[str, Levels] = {}
+        for name, chosen in levels.items():
+            old = self.factors[name]
+            cut[name] = {str(x): old[str(x)] for x in chosen} if isinstance(old, dict) else list(chosen)
+        return self.model_copy(update={"factors": {**self.factors, **cut}})
 
     def chosen(self, row: Mapping[str, Any]) -> str:
         """The levels of a case by its row of the table."""

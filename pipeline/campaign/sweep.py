@@ -19,7 +19,7 @@ from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.outputs import Output, Stopwatch, package_versions, sha256_tree
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
+from turtlebag.pipeline.campaign.campaign_file import Campaign, Scalar, campaign_path, load_campaign
 from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
 from turtlebag.pipeline.campaign.cases import Case, Reader, cases
 from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
@@ -37,6 +37,9 @@ OUTPUTS = "outputs"
 """Part of a store that keeps what `shared` stages made, for all campaigns of it."""
 SCRATCH = "scratch"
 """Folder in which the workers of this machine work."""
+NO_LEVELS: Mapping[str, Sequence[Scalar]] = {}
+More = Callable[[Campaign, Sequence[Case], Sequence[Row], Where, Path], None]
+"""Writes what a campaign leaves besides its own page, into the folder of that page."""
 ROOT = Path(__file__).parents[2]
 MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
 
@@ -51,16 +54,19 @@ def sweep(
     scheduler: str | None = None,
     workers: int | None = None,
     allow_commands: bool = False,
+    only: Mapping[str, Sequence[Scalar]] = NO_LEVELS,
+    more: More | None = None,
 ) -> int:
     """Run what is left of a campaign, each stage by `run`, and write its results to `out`; 1 when any case
     failed, or a result is in none of them.
 
-    `allow_commands`: also stages that run somebody else's program.
+    `allow_commands`: also stages that run somebody else's program. `only`: these levels of these factors.
+    `more` writes into the same folder what the rows are good for besides.
     Of the command lines in the file `read` makes the requests, of all before any case runs. Workers keep what
     they make in `store`, which is `out` itself where no URL is given. It grows in `OUT.partial` and stays
     there when it is stopped: the same command goes on with it.
     """
-    campaign = load_campaign(campaign_name)
+    campaign = load_campaign(campaign_name).with_only(only)
     for stage, command in campaign.programs.items():
         if not allow_commands:
             raise InputError(f"{campaign_name}: stages.{stage} runs `{command}`; --allow-commands allows it")
@@ -84,6 +90,8 @@ def sweep(
         source = Path(campaign_name).name
         worst = worst_case(campaign, todo, rows, where)
         write_results(campaign, source, rows, where.runs, lock.partial, worst)
+        if more is not None:
+            more(campaign, todo, rows, where, lock.partial)
         absent = absent_results(campaign, todo, rows, where)
         _tidy(Store(str(lock.partial)))
         extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}

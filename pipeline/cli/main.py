@@ -36,6 +36,7 @@ VERBS = {
     "report": "make an HTML report from the outputs of other commands",
     "compare": "compare outputs or runs of the same command, or ours with another system's",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
+    "board": "run the standard drives with our systems and score them, or score a result of yours",
     "verify": "run a report and its stages again, and compare every file and number",
     "bag": "inspect, play, repair and convert bags",
     "data": "list and fetch public logs",

@@ -1,0 +1,81 @@
+"""The board: its lines, its inputs, and somebody's result measured."""
+
+import json
+
+import pytest
+import yaml
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.trajectories import load_tum, save_tum
+from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.board.board import QUICK, lines_of
+from turtlebag.pipeline.board.inputs import HASHES, drives, find_drive
+from turtlebag.pipeline.campaign.campaign_file import load_campaign
+from turtlebag.pipeline.campaign.cases import cases
+from turtlebag.pipeline.cli.main import main
+
+ROW = {"case": "a", "world": "arena", "sensors": "realistic", "system": "ours", "failed": False, "error": ""}
+
+
+def test_every_input_has_a_stated_hash_and_no_hash_is_left_over():
+    campaign = load_campaign("board")
+    found = drives(campaign, cases(campaign))
+    assert {name: drive.sha256 for name, drive in found.items()} == yaml.safe_load(HASHES.read_text())
+    assert find_drive("house-realistic-2").command == (
+        "turtlebag record --world turtlebot3_house --teleop tour --seed 2"
+    )
+    assert len(cases(campaign)) == len(found) * 4
+
+
+def test_the_quick_board_is_one_drive_of_the_whole_one():
+    campaign = load_campaign("board")
+    quick = cases(campaign.with_only(QUICK))
+    assert {case.name for case in quick} < {case.name for case in cases(campaign)}
+    assert list(drives(campaign, quick)) == ["arena-realistic-1"]
+
+
+def test_a_line_has_the_median_and_the_worst_and_counts_failures():
+    campaign = load_campaign("board")
+    nothing = dict.fromkeys(campaign.results)
+    rows = [
+        {**ROW, **nothing, "seed": seed, "ate_aligned_m": ate} for seed, ate in enumerate((0.03, 0.01, 0.02))
+    ]
+    rows.append({**ROW, **nothing, "seed": 3, "failed": True, "error": "map: broke"})
+    rows.append({**ROW, **nothing, "seed": 0, "system": "wheels", "ate_aligned_m": 0.5})
+    ours, wheels = lines_of(campaign, rows)
+    assert (ours.kind, ours.system, ours.runs, ours.failed) == ("arena, realistic", "ours", 4, 1)
+    assert ours.numbers["ate_aligned_m"] == (0.02, 0.03)
+    assert ours.numbers["wall_m"] == (None, None)
+    assert wheels.numbers["ate_aligned_m"] == (0.5, 0.5)
+
+
+def test_an_unknown_input_is_told_in_one_line(tmp_path, capsys):
+    poses = tmp_path / "poses.tum"
+    save_tum(Trajectory.untimed(SE2.from_xyt([0.0, 1.0], [0.0, 0.0], [0.0, 0.0])), poses)
+    out = tmp_path / "out"
+    assert main(["board", "submit", str(poses), "--input", "house-realistic-9", "--out", str(out)]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "turtlebag: --input house-realistic-9: not an input of the board; did you mean house-realistic-3?"
+    ]
+    assert not out.exists()
+    assert main(["board"]) == 2
+    assert capsys.readouterr().err.splitlines() == ["turtlebag: board: --out DIR is needed"]
+
+
+@pytest.mark.slow
+def test_the_truth_itself_is_submitted_without_error_and_a_bend_is_measured(tmp_path, capsys):
+    record = tmp_path / "record"
+    words = find_drive("arena-realistic-1").command.split()[1:]
+    assert main([*words, "--out", str(record), "-q"]) == 0
+    true = load_tum(record / "truth/trajectory.tum")
+    xy = true.poses.xy
+    for bend, rmse in ((0.0, 0.0), (0.05, 0.05)):
+        poses, out = tmp_path / f"{bend}.tum", tmp_path / f"{bend}"
+        save_tum(Trajectory(true.stamps_ns, SE2.from_xyt(xy[:, 0] + bend, xy[:, 1], true.poses.yaw)), poses)
+        assert main(["board", "submit", str(poses), "--input", "arena-realistic-1", "--out", str(out)]) == 0
+        metrics = json.loads((out / "metrics.json").read_text())
+        assert metrics["ate_m"]["rmse"] == pytest.approx(rmse, abs=1e-6)
+        assert metrics["ate_aligned_m"]["rmse"] == pytest.approx(0.0, abs=1e-6)
+        assert metrics["covered"] == 1.0
+        assert f"trajectory error {1000 * rmse:.1f}" in capsys.readouterr().out
