@@ -79,3 +79,9 @@ def test_the_truth_itself_is_submitted_without_error_and_a_bend_is_measured(tmp_
         assert metrics["ate_aligned_m"]["rmse"] == pytest.approx(0.0, abs=1e-6)
         assert metrics["covered"] == 1.0
         assert f"trajectory error {1000 * rmse:.1f}" in capsys.readouterr().out
+    late = tmp_path / "late.tum"
+    save_tum(Trajectory(true.stamps_ns * 3, true.poses), late)
+    out = tmp_path / "late"
+    assert main(["board", "submit", str(late), "--input", "arena-realistic-1", "--out", str(out)]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].endswith("another recording?")
+    assert not out.exists()
