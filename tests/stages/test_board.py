@@ -8,11 +8,12 @@ import yaml
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.board.board import QUICK, lines_of
-from turtlebag.pipeline.board.inputs import HASHES, drives, find_drive
+from turtlebag.pipeline.board.board import QUICK, Run, lines_of
+from turtlebag.pipeline.board.inputs import HASHES, absent_logs, drives, find_drive
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
 from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.cli.main import main
+from turtlebag.reports.page import fill
 
 ROW = {"case": "a", "world": "arena", "sensors": "realistic", "system": "ours", "failed": False, "error": ""}
 
@@ -47,6 +48,30 @@ def test_a_line_has_the_median_and_the_worst_and_counts_failures():
     assert ours.numbers["ate_aligned_m"] == (0.02, 0.03)
     assert ours.numbers["wall_m"] == (None, None)
     assert wheels.numbers["ate_aligned_m"] == (0.5, 0.5)
+
+
+def test_the_page_says_why_a_row_failed_and_how_to_make_it_again():
+    campaign = load_campaign("board").with_only(QUICK)
+    nothing = dict.fromkeys(campaign.results)
+    row = {**ROW, **nothing, "seed": 1, "failed": True, "error": "map: ran <long>"}
+    inputs = drives(campaign, cases(campaign))
+    page = fill(
+        "board.html.j2",
+        campaign=campaign,
+        sizes="1 drive, 1 row",
+        lines=lines_of(campaign, [row]),
+        runs=[Run("arena-realistic-1", "ours", ("turtlebag map x",), "", row)],
+        inputs=list(inputs.values()),
+        made={"arena-realistic-1": "0" * 64},
+        logs=absent_logs(),
+        pictures=[],
+        words=str,
+    )
+    assert "1 drive, 1 row, 1 failed" in page
+    assert "map: ran &lt;long&gt;" in page
+    assert "arena-realistic-1, ours: failed" in page
+    assert "other bytes than stated" in page
+    assert "turtlebag map x" in page
 
 
 def test_an_unknown_input_is_told_in_one_line(tmp_path, capsys):
