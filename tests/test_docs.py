@@ -106,7 +106,7 @@ def check_verb(words):
     for verb in words[0].split("|"):
         assert verb in VERBS, f"no verb {verb}"
         known = set(options(verb))
-        if actions(verb) and len(words) > 1:
+        if actions(verb) and len(words) > 1 and not words[1].startswith("-"):
             for action in words[1].split("|"):
                 assert action in actions(verb), f"{verb} has no {action}"
                 known |= set(options(verb, action))

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from pathlib import Path
 from typing import Any
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import sha256_file
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.board.inputs import BAG, find_drive
 from turtlebag.pipeline.stages.run import run
 from turtlebag.reports.metrics.references import References
+
+SPARE_S = 1.0
+"""By so much poses may begin before the truth does, or end after it."""
 
 
 def submit(poses: Path, name: str, out: Output) -> dict[str, Any]:
@@ -25,19 +31,27 @@ def submit(poses: Path, name: str, out: Output) -> dict[str, Any]:
     drive, trajectory = find_drive(name), load_tum(poses)
     with out.staged([poses]) as folder, tempfile.TemporaryDirectory(prefix="turtlebag-") as place:
         record = Path(place, "record")
-        run(drive.request, Output(record, command=drive.command.split()))
+        run(drive.request, Output(record, command=shlex.split(drive.command)))
         digest = sha256_file(record / BAG)
-        references = References.load(record)
-        errors = references.errors(trajectory, None, odometry=False)
-        whole = references.truth.duration() if references.truth is not None else 0.0
+        covered = _covered(poses, trajectory, load_tum(record / "truth" / "trajectory.tum"))
         metrics = {
             "input": name,
             "input_sha256": digest,
             "same_input": digest == drive.sha256,
             "poses": len(trajectory),
-            "covered": min(trajectory.duration() / whole, 1.0),
-            **errors,
+            "covered": covered,
+            **References.load(record).errors(trajectory, None, odometry=False),
         }
         extra = {"input_command": drive.command}
         out.finish(folder, "board submit", {"poses": poses}, metrics=metrics, extra=extra)
     return metrics
+
+
+def _covered(poses: Path, trajectory: Trajectory, truth: Trajectory) -> float:
+    """The share of the drive's time that the poses span; InputError where they span more than all of it."""
+    span_s, whole_s = trajectory.duration(), truth.duration()
+    if span_s > whole_s + SPARE_S:
+        raise InputError(
+            f"{poses}: spans {span_s:.1f} s, but the drive takes {whole_s:.1f} s: another recording?"
+        )
+    return min(span_s / whole_s, 1.0)

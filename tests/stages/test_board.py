@@ -8,11 +8,12 @@ import yaml
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.board.board import QUICK, lines_of
-from turtlebag.pipeline.board.inputs import HASHES, drives, find_drive
+from turtlebag.pipeline.board.board import QUICK, Run, lines_of
+from turtlebag.pipeline.board.inputs import HASHES, absent_logs, drives, find_drive
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
 from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.cli.main import main
+from turtlebag.reports.page import fill
 
 ROW = {"case": "a", "world": "arena", "sensors": "realistic", "system": "ours", "failed": False, "error": ""}
 
@@ -49,6 +50,30 @@ def test_a_line_has_the_median_and_the_worst_and_counts_failures():
     assert wheels.numbers["ate_aligned_m"] == (0.5, 0.5)
 
 
+def test_the_page_says_why_a_row_failed_and_how_to_make_it_again():
+    campaign = load_campaign("board").with_only(QUICK)
+    nothing = dict.fromkeys(campaign.results)
+    row = {**ROW, **nothing, "seed": 1, "failed": True, "error": "map: ran <long>"}
+    inputs = drives(campaign, cases(campaign))
+    page = fill(
+        "board.html.j2",
+        campaign=campaign,
+        sizes="1 drive, 1 row",
+        lines=lines_of(campaign, [row]),
+        runs=[Run("arena-realistic-1", "ours", ("turtlebag map x",), "", row)],
+        inputs=list(inputs.values()),
+        made={"arena-realistic-1": "0" * 64},
+        logs=absent_logs(),
+        pictures=[],
+        words=str,
+    )
+    assert "1 drive, 1 row, 1 failed" in page
+    assert "map: ran &lt;long&gt;" in page
+    assert "arena-realistic-1, ours: failed" in page
+    assert "other bytes than stated" in page
+    assert "turtlebag map x" in page
+
+
 def test_an_unknown_input_is_told_in_one_line(tmp_path, capsys):
     poses = tmp_path / "poses.tum"
     save_tum(Trajectory.untimed(SE2.from_xyt([0.0, 1.0], [0.0, 0.0], [0.0, 0.0])), poses)
@@ -79,3 +104,9 @@ def test_the_truth_itself_is_submitted_without_error_and_a_bend_is_measured(tmp_
         assert metrics["ate_aligned_m"]["rmse"] == pytest.approx(0.0, abs=1e-6)
         assert metrics["covered"] == 1.0
         assert f"trajectory error {1000 * rmse:.1f}" in capsys.readouterr().out
+    late = tmp_path / "late.tum"
+    save_tum(Trajectory(true.stamps_ns * 3, true.poses), late)
+    out = tmp_path / "late"
+    assert main(["board", "submit", str(late), "--input", "arena-realistic-1", "--out", str(out)]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].endswith("another recording?")
+    assert not out.exists()
