@@ -75,7 +75,7 @@ def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str,
         handles, names = grid[0].get_legend_handles_labels()
         names[0] = f"{words(wish.lines)}: {names[0]}"
         # Above, where it hides no mark.
-        figure.legend(handles, names, loc="outside upper right", ncols=len(names))
+        figure.legend(handles, names, loc="outside upper right", ncols=min(len(names), COLUMNS))
     return figure
 
 
