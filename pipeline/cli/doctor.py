@@ -92,8 +92,8 @@ def _pybullet() -> str:
 
 PACKAGES = (
     "numpy", "scipy", "numba", "pydantic", "pyyaml", "rich", "kiss-icp", "rosbags", "mcap", "zstandard",
-    "lz4", "pooch", "ompl", "matplotlib", "contourpy", "pillow", "jinja2", "dask", "tornado", "distributed", "fsspec",
-    "duckdb", "shtab",
+    "lz4", "pooch", "ompl", "matplotlib", "contourpy", "pillow", "jinja2", "dask", "tornado", "distributed",
+    "fsspec", "duckdb", "shtab",
 )  # fmt: skip
 MODULES = {
     "pyyaml": "yaml",
