@@ -29,10 +29,10 @@ FIGURES.__dict__.update(get_plotly_fig=None, draw_plotly=None, draw_plotly_serve
 @cache
 def open3d() -> ModuleType:
     """The `open3d` module, limited to one thread; InputError if it cannot be imported."""
-    import libusb_package
-
-    library = libusb_package.get_library_path()
     try:
+        import libusb_package
+
+        library = libusb_package.get_library_path()
         if library is not None:
             ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
         if find_spec("dash") is None:
@@ -57,5 +57,6 @@ _ONE_THREAD = _GlobalControl(value=1)  # of parameter 0, max_allowed_parallelism
 
 def _keep_to_one_thread(module: ModuleType) -> None:
     """Ask the scheduler that comes with Open3D for no threads but the caller's."""
-    tbb = ctypes.CDLL(str(Path(str(module.__file__)).with_name("libtbb.so.12")))
+    name = "libtbb.12.dylib" if sys.platform == "darwin" else "libtbb.so.12"
+    tbb = ctypes.CDLL(str(Path(str(module.__file__)).with_name(name)))
     tbb["_ZN3tbb6detail2r16createERNS0_2d114global_controlE"](ctypes.byref(_ONE_THREAD))

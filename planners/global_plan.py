@@ -56,7 +56,7 @@ def plan_path(
     """
     if not fits(costmap, model, T_map_goal):
         raise NoPath("the goal is in an obstacle or off the map")
-    planner: GlobalPlanner = chosen(config.planner, {"ompl": OmplPlanner}, GlobalPlanner)(config)
+    planner: GlobalPlanner = chosen(config.planner, PLANNERS, GlobalPlanner)(config)
     return planner.plan(costmap, model, T_map_start, T_map_goal, seed)
 
 
@@ -86,6 +86,24 @@ class OmplPlanner:
         if stuck is not None and stuck > 2.0 * SNAP_M:
             raise NoPath("no path to the goal")
         return plan
+
+
+class LatticePlanner:
+    """The footprint in every heading, over cells: needs no OMPL."""
+
+    def __init__(self, config: PlanConfig) -> None:
+        self._config = config
+
+    def plan(self, costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2, seed: int) -> Plan:
+        """As in `GlobalPlanner`."""
+        start, goal = costmap.T_grid_map @ T_map_start, costmap.T_grid_map @ T_map_goal
+        plan = _oriented_plan(costmap, model, start, goal, self._config)
+        if plan is None:
+            raise NoPath("no path to the goal")
+        return plan
+
+
+PLANNERS: dict[str, type[GlobalPlanner]] = {"ompl": OmplPlanner, "lattice": LatticePlanner}
 
 
 def _disc_way(

@@ -36,8 +36,10 @@ class Plan:
 class PlanConfig(Settings, allow_inf_nan=False):
     """Distances in metres."""
 
-    planner: Annotated[str, part_of("ompl")] = Field(default="ompl", exclude_if=lambda name: name == "ompl")
-    """`ompl`, or your own class."""
+    planner: Annotated[str, part_of("ompl", "lattice")] = Field(
+        default="ompl", exclude_if=lambda name: name == "ompl"
+    )
+    """`ompl`, `lattice` (the footprint in every heading, without OMPL), or your own class."""
     ompl: OmplConfig = OmplConfig()
     margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
         default=(0.10, 0.07, 0.04, 0.0), min_length=1, max_length=20

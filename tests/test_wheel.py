@@ -151,7 +151,8 @@ def test_the_lock_has_one_version_of_each_package_in_the_range_that_is_asked_for
     }
     extras = PROJECT["project"]["optional-dependencies"]
     todo = [Requirement(line) for line in PROJECT["project"]["dependencies"] + extras["dev"] + extras["docs"]]
-    assert all("==" not in str(wanted) for wanted in todo)
+    todo = [wanted for wanted in todo if wanted.marker is None or wanted.marker.evaluate()]
+    assert all("==" not in str(wanted.specifier) for wanted in todo)
     seen = set()
     while todo:  # and what those need, and so on
         wanted = todo.pop()
@@ -165,6 +166,28 @@ def test_the_lock_has_one_version_of_each_package_in_the_range_that_is_asked_for
                 needs = [need for need in needs if need.name == "numpy"]
             todo += [need for need in needs if need.marker is None or need.marker.evaluate({"extra": ""})]
     assert seen == set(pins)
+
+
+X86, ARM = ("linux", "x86_64"), ("linux", "aarch64")
+MAC, INTEL_MAC = ("darwin", "arm64"), ("darwin", "x86_64")
+ON_SOME = {
+    "pybullet": {X86},
+    "open3d-cpu": {X86},
+    "open3d": {ARM, MAC},
+    "ompl": {X86, ARM},
+    "kiss-icp": {X86, ARM, MAC},
+}
+
+
+@pytest.mark.parametrize("place", [X86, ARM, MAC, INTEL_MAC], ids="-".join)
+def test_a_platform_is_asked_only_for_packages_that_have_wheels_there(place):
+    here = {"sys_platform": place[0], "platform_machine": place[1]}
+    asked, every = set(), set()
+    for line in map(Requirement, PROJECT["project"]["dependencies"]):
+        every.add(line.name)
+        if line.marker is None or line.marker.evaluate(here):
+            asked.add(line.name)
+    assert every - asked == {name for name, places in ON_SOME.items() if place not in places}
 
 
 WITHOUT_FIGURES = """

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
-from turtlebag.pipeline.setup.missing_package import INSTALL
+from turtlebag.pipeline.setup.missing_package import INSTALL, WHOLE, WITHOUT, without
 from turtlebag.pipeline.stages.parser import Parser
 
 EXAMPLE = "turtlebag doctor --trial"
@@ -33,6 +33,10 @@ def report(checks: Mapping[str, Callable[[], str]]) -> int:
             detail = check()
             print(f"ok      {name:<12} {detail}")
         except Exception as error:
+            module = name.replace("-", "_")
+            if module in WITHOUT and not WHOLE:
+                print(f"off     {name:<12} {without(module)}")
+                continue
             failed += 1
             print(f"MISSING {name:<12} {' '.join(str(error).split())}{_hint(error)}")
     print("everything works" if not failed else f"{failed} of {len(checks)} checks failed")
