@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
-import threading
+import sys
+import tempfile
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -58,35 +61,38 @@ def _left(folder: Path, name: str) -> Path:
     return path
 
 
+# A process of its own starts the program: what a large one starts counts as large as that from the beginning.
+_LAUNCHER = """
+import json, resource, subprocess, sys
+try:
+    code, error = subprocess.call(sys.argv[2:], stdin=subprocess.DEVNULL), None
+except OSError as failed:
+    code, error = 1, failed.strerror
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+with open(sys.argv[1], "w") as file:
+    json.dump([code, error, used.ru_utime + used.ru_stime, used.ru_maxrss], file)
+"""
+
+
 def _effort(words: list[str], log: Path, limit_s: float) -> Effort:
     """Run it to its end; InputError for one that fails, or runs longer than the limit."""
-    watch, late = Stopwatch(), threading.Event()
-    with log.open("wb") as said:
+    watch = Stopwatch()
+    with tempfile.TemporaryDirectory() as aside, log.open("wb") as said:
+        told = Path(aside) / "used.json"
+        launcher = [sys.executable, "-I", "-S", "-c", _LAUNCHER, str(told), *words]
+        process = subprocess.Popen(launcher, stdout=said, stderr=subprocess.STDOUT, start_new_session=True)
         try:
-            process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True
-            )
-        except OSError as error:
-            raise InputError(f"{words[0]}: cannot be started ({error.strerror})") from None
-
-        def stop() -> None:
-            late.set()
-            os.killpg(process.pid, signal.SIGKILL)
-
-        timer = threading.Timer(limit_s, stop)
-        timer.start()
-        try:
-            _, status, used = os.wait4(process.pid, 0)
-        except BaseException:
-            os.killpg(process.pid, signal.SIGKILL)
-            raise
+            process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"{words[0]}: ran longer than {limit_s:g} s") from None
         finally:
-            timer.cancel()
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if late.is_set():
-        raise InputError(f"{words[0]}: ran longer than {limit_s:g} s")
-    if process.returncode != 0:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        code, error, cpu_s, memory_kb = json.loads(told.read_text())
+    if error is not None:
+        raise InputError(f"{words[0]}: cannot be started ({error})")
+    if code != 0:
         lines = log.read_text(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
-        raise InputError(f"{words[0]}: exit code {process.returncode}: {lines[0]}")
-    cpu_s = used.ru_utime + used.ru_stime
-    return Effort(round(watch.seconds(), 3), round(cpu_s, 3), round(used.ru_maxrss / 1024.0, 1))
+        raise InputError(f"{words[0]}: exit code {code}: {lines[0]}")
+    return Effort(round(watch.seconds(), 3), round(cpu_s, 3), round(memory_kb / 1024.0, 1))
