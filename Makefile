@@ -120,6 +120,7 @@ studio-pictures: $(READY) ## the pictures of the studio in README and docs, take
 
 notebooks: $(READY) ## run the notebooks and keep what they show   (needs `.venv/bin/pip install -e '.[notebooks]'`)
 	$(PY) .ci/site/notebooks.py docs/notebooks
+	$(PY) .ci/site/notebooks.py docs/course
 
 bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
 results: $(READY) ## the tables of docs/results.md, each row over at least ten seeds (TURTLEBAG_DATA=folder of the public logs)

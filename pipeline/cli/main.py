@@ -35,6 +35,7 @@ VERBS = {
     "plan": "plan a path on a map",
     "report": "make an HTML report from the outputs of other commands",
     "compare": "compare outputs or runs of the same command, or ours with another system's",
+    "grade": "mark a solution of a lesson of the course",
     "sweep": "run a campaign of many cases on all cores; interrupted campaigns resume",
     "board": "run the standard drives with our systems and score them, or score a result of yours",
     "verify": "run a report and its stages again, and compare every file and number",
@@ -44,7 +45,10 @@ VERBS = {
     "doctor": "check the installation",
     "completion": "print a script that completes commands in your shell",
 }
-STAGES = ("record", "teleop", "map", "localise", "identify", "twin", "navigate", "plan", "report", "compare")
+STAGES = (
+    "record", "teleop", "map", "localise", "identify", "twin", "navigate", "plan", "report", "compare",
+    "grade",
+)  # fmt: skip
 
 EXIT_OK, EXIT_INPUT = 0, 2
 

@@ -11,6 +11,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.stages.command_line import recorded
 from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest
+from turtlebag.pipeline.stages.requests.courses import GradeRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.options import XYT, Laser
@@ -58,6 +59,10 @@ def run(request: Request, out: Output) -> int:
 
             compare_as_asked(request, out)
             return 0
+        case GradeRequest():
+            from turtlebag.pipeline.stages.grade import grade_file
+
+            return grade_file(request, out)
         case ConvertRequest():
             from turtlebag.pipeline.stages.bags import convert_bag
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverRequest
+from turtlebag.pipeline.stages.requests.courses import GradeRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
@@ -22,6 +23,7 @@ KINDS: tuple[type[Request], ...] = (
     NavigateRequest,
     ReportRequest,
     CompareRequest,
+    GradeRequest,
     ConvertRequest,
     RecoverRequest,
     StudioRequest,

@@ -1,0 +1,191 @@
+"""A student's file in a process of its own: asked from here, ended when it takes or prints too much."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from turtlebag.datasets.se2 import Array
+
+MEMORY_MB = 2048
+PRINTED_BYTES = 100_000
+"""What a file may print, all cases together."""
+SHOWN_CHARACTERS = 2000
+ANSWER_BYTES = 20_000_000
+LEAST_CPU_S, FIRST_CPU_S = 5, 60
+"""CPU seconds: the least that anybody gets, and what the solution gets, whose time is not known yet."""
+
+Ask = Callable[..., Array]
+"""Ask the object of a case: the arguments of its method in, its answer as an array out."""
+
+
+class Fault(Exception):
+    """What a file did wrong in one case, in a line."""
+
+
+class Ended(Fault):
+    """The process is gone: nothing more can be asked."""
+
+
+@dataclass
+class Pupil:
+    """A running file. Use as a context manager; `cpu_s` and `printed` are known when it is left."""
+
+    source: Path
+    name: str
+    method: str
+    limit_s: int = FIRST_CPU_S
+    printed: str = field(default="", init=False)
+    cpu_s: float = field(default=0.0, init=False)
+    _bytes: int = field(default=0, init=False)
+    _late: bool = field(default=False, init=False)
+
+    def __enter__(self) -> Pupil:
+        theirs_in, ours_out = os.pipe()
+        ours_in, theirs_out = os.pipe()
+        self._folder = tempfile.TemporaryDirectory(prefix="turtlebag-grade-")
+        words = [
+            self.source.resolve(),
+            self.name,
+            self.method,
+            MEMORY_MB,
+            self.limit_s,
+            theirs_in,
+            theirs_out,
+        ]
+        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "turtlebag.pipeline.course.pupil", *map(str, words)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=self._folder.name,
+            env={**os.environ, **threads, "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"},
+            pass_fds=(theirs_in, theirs_out), start_new_session=True,
+        )  # fmt: skip
+        os.close(theirs_in)
+        os.close(theirs_out)
+        self._questions, self._answers = os.fdopen(ours_out, "w"), os.fdopen(ours_in, "rb")
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        # Who sleeps uses no CPU time.
+        self._timer = threading.Timer(4.0 * self.limit_s + 20.0, self._stop_late)
+        self._timer.start()
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self._end()
+        self._folder.cleanup()
+
+    @property
+    def overflow(self) -> str:
+        """The words for one that printed too much; empty for one that did not."""
+        return f"it printed more than {PRINTED_BYTES // 1000} kB" if self._bytes > PRINTED_BYTES else ""
+
+    def begin(self) -> None:
+        """Wait until the file is imported; Ended when it cannot be."""
+        answer = self._answer()
+        if "ready" not in answer:
+            raise Ended(str(answer.get("fault")))
+
+    def new(self, given: dict[str, Any]) -> None:
+        """Make an object of its class for a case."""
+        self._say({"new": given})
+
+    def ask(self, shape: tuple[int, ...] | None = None, **given: Any) -> Array:
+        """Call its method: an array of that shape, with finite numbers only. Fault for anything else."""
+        value = np.array(self._say({"call": given}), dtype=float)
+        if shape is not None and value.shape != shape:
+            raise Fault(f"{self.method} returned an array of shape {value.shape}; it must be {shape}")
+        if not np.isfinite(value).all():
+            raise Fault(f"{self.method} returned numbers that are not finite")
+        return value
+
+    def _say(self, question: dict[str, Any]) -> Any:
+        try:
+            self._questions.write(json.dumps(_listed(question)) + "\n")
+            self._questions.flush()
+        except OSError:
+            raise Ended(self._reason()) from None
+        answer = self._answer()
+        if "fault" in answer:
+            raise Fault(re.sub(r"0x[0-9a-f]+", "0x...", str(answer["fault"])))
+        return answer.get("value")
+
+    def _answer(self) -> dict[str, Any]:
+        line = self._answers.readline(ANSWER_BYTES)
+        try:
+            answer = json.loads(line)
+        except (ValueError, RecursionError):
+            answer = None
+        if not isinstance(answer, dict):
+            raise Ended(self._reason())
+        return answer
+
+    def _reason(self) -> str:
+        """Why there is no answer; the process is ended first."""
+        self._end()
+        if self.overflow:
+            return self.overflow
+        if self._late or self._process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+            return "it did not end: it used more than ten times the time of the solution"
+        return f"it ended before it answered (exit code {self._process.returncode})"
+
+    def _end(self) -> None:
+        """End it, and whatever it started; once."""
+        if self.cpu_s:
+            return
+        for pipe in (self._questions, self._answers):
+            with suppress(OSError):  # what was still to be said has no reader
+                pipe.close()
+        try:
+            _, status, used = os.wait4(self._process.pid, 0)
+            self._process.returncode = os.waitstatus_to_exitcode(status)
+            self.cpu_s = used.ru_utime + used.ru_stime
+        finally:
+            self._timer.cancel()
+            self._kill()
+        self._reader.join(5.0)
+
+    def _kill(self) -> None:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+    def _stop_late(self) -> None:
+        self._late = True
+        self._kill()
+
+    def _read(self) -> None:
+        """Keep the beginning of what it prints; end it when that is too much."""
+        assert self._process.stdout is not None
+        kept = b""
+        with self._process.stdout as stream:
+            while chunk := os.read(stream.fileno(), 65536):
+                kept = (kept + chunk)[: 4 * SHOWN_CHARACTERS]
+                self._bytes += len(chunk)
+                self.printed = kept.decode(errors="replace")[:SHOWN_CHARACTERS]
+                if self._bytes > PRINTED_BYTES:
+                    self._kill()
+
+
+def cpu_limit(solution_s: float) -> int:
+    """CPU seconds of a student's file: ten times those of the solution."""
+    return max(LEAST_CPU_S, math.ceil(10.0 * solution_s))
+
+
+def _listed(value: Any) -> Any:
+    """Arrays as lists, which JSON has."""
+    if isinstance(value, dict):
+        return {name: _listed(one) for name, one in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
