@@ -18,9 +18,8 @@ from turtlebag.pipeline.stages.requests.options import XYT, Laser
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.requests.request import Request
-from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest, TwinRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
-from turtlebag.pipeline.stages.requests.twins import TwinRequest
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log, say

@@ -1,4 +1,4 @@
-"""The request for a robot's parameters."""
+"""Requests for what one recording says of its robot: the robot itself, and its twin."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from typing import Annotated
 
 from pydantic import Field
 
+from turtlebag.pipeline.stages.parser import count
 from turtlebag.pipeline.stages.requests.options import (
     ConfigFile,
+    Count,
     LaserPose,
     Name,
     Option,
     Overrides,
+    Seed,
     Topics,
     file,
 )
 from turtlebag.pipeline.stages.requests.request import Request
 
 
-class IdentifyRequest(Request):
-    """The parameters of a robot, from a recording of it."""
-
-    VERB = "identify"
-    EXAMPLE = "turtlebag identify data/records/tour --robot burger --out data/robots/tour"
+class _RobotRequest(Request):
+    """A recording, and the robot that gives what it does not show."""
 
     source: Annotated[Path, file("BAG", "record folder, bag or CARMEN log", "rec", positional=True)]
     robot: Annotated[
@@ -46,3 +46,23 @@ class IdentifyRequest(Request):
     ] = ()
     config: ConfigFile = None
     settings: Overrides = Field({})
+
+
+class IdentifyRequest(_RobotRequest):
+    """The parameters of a robot, from a recording of it."""
+
+    VERB = "identify"
+    EXAMPLE = "turtlebag identify data/records/tour --robot burger --out data/robots/tour"
+
+
+class TwinRequest(_RobotRequest):
+    """Map, world and robot of a recording, and its drive again in the simulator."""
+
+    VERB = "twin"
+    EXAMPLE = "turtlebag twin data/records/tour --robot burger --out data/twins/tour"
+
+    drives: Annotated[
+        Count,
+        Option("N", "how often it drives again, with parameters drawn from their intervals", "5", read=count),
+    ] = 3
+    seed: Seed = 1

@@ -8,9 +8,8 @@ from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateR
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
-from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest, TwinRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
-from turtlebag.pipeline.stages.requests.twins import TwinRequest
 
 KINDS: tuple[type[Request], ...] = (
     RecordRequest,

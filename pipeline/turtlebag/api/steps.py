@@ -27,8 +27,7 @@ from turtlebag.pipeline.stages.requests.drives import TAKEN_BY, NavigateRequest,
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
 from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.request import Request
-from turtlebag.pipeline.stages.requests.robots import IdentifyRequest
-from turtlebag.pipeline.stages.requests.twins import TwinRequest
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest, TwinRequest
 from turtlebag.reports.system_comparison import SystemComparison
 
 
