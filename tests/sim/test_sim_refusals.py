@@ -85,6 +85,11 @@ FILES = [
         shapes("[{kind: cylinder, center: [.nan, 0], radius: 1, z: [0, 1]}]"),
         "shapes.0.cylinder.center.0: must be a finite number",
     ),
+    (
+        "mine.yaml",
+        shapes("[{kind: cylinder, center: [2, 0], radius: 1, z: [1, 0]}]"),
+        "shapes.0.cylinder.z: the bottom 1 is not below the top 0",
+    ),
     ("w.world", sdf("<box><size>1 1</size></box>"), POSITIVE),
     ("w.world", sdf("<box><size>1 1 inf</size></box>"), POSITIVE),
     (
