@@ -77,7 +77,12 @@ class MapRequest(Request):
     ] = ()
     name: Annotated[str | None, Option("NAME", "also save the map as NAME.pgm and NAME.yaml", "hall")] = None
     edits: Annotated[
-        Path | None, file("FILE", "YAML file of loop closures to reject or to add", "edits.yaml")
+        Path | None,
+        file(
+            "FILE",
+            "YAML file of loop closures to reject or to add, and of walls to draw or erase",
+            "edits.yaml",
+        ),
     ] = None
     config: ConfigFile = None
     settings: Overrides = Field({})
