@@ -49,7 +49,7 @@ def with_walls(
             _paint(cells, a, b, reach, value)
             _paint(sure, a, b, reach, SURE)
     corner = grid.T_map_grid.xy if not first.any() else (np.rint(grid.T_map_grid.xy / size) + first) * size
-    return OccupancyGrid(cells, size, SE2.from_xyt(*corner.tolist(), 0.0)), sure
+    return OccupancyGrid(cells, size, SE2(np.append(corner, 0.0))), sure
 
 
 def _stroke(wall: WallEdit, grid: OccupancyGrid, T_map_base: SE2) -> Stroke:
