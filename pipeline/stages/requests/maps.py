@@ -30,7 +30,7 @@ from turtlebag.pipeline.stages.requests.options import (
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.planners.planner_names import PlannerName
 
-PLANNERS = get_args(PlannerName)
+PLANNERS = (*get_args(PlannerName), "lattice")
 
 
 class MapRequest(Request):
@@ -143,8 +143,8 @@ class PlanRequest(Request):
         Annotated[str, part_of(*PLANNERS)] | None,
         Option(
             "P",
-            f"OMPL planner: {', '.join(PLANNERS)} (default: BITstar for a disc, else RRTConnect), "
-            "or your own class (module:Class)",
+            f"OMPL planner (default: BITstar), `lattice`, which needs no OMPL, or your own class "
+            f"(module:Class): {', '.join(PLANNERS)}",
             "RRTstar",
             choices=OrOwn(PLANNERS),
         ),
