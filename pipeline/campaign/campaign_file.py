@@ -95,7 +95,7 @@ class Result(Settings):
 
 
 class Figure(Settings):
-    """One figure: result `y` over factor `x`, intervals by bootstrap.
+    """One figure: result `y` over factor `x`, means with their intervals.
 
     One line for each level of `lines`, in one panel for each level of `panels`.
     """
