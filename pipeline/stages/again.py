@@ -86,7 +86,7 @@ def request_in(manifest: Manifest) -> Request:
     kind = REQUESTS.get(verb)
     if kind is None:
         raise NotRun("made by an earlier version: run it again")
-    # A page may come from anybody: what it has made again is what it shows, and no other command is run for it.
+    # A page may come from anybody: no command is run for it but those that make what it shows.
     if manifest.stage != {KeyboardRequest.VERB: "record"}.get(verb, verb):
         raise NotRun(f"is an output of {manifest.stage}, but its request is of {verb}")
     if isinstance(fields.get("config"), str):  # what a file said is recorded; a name may lead to any part
