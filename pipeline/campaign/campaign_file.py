@@ -11,7 +11,9 @@ from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
+    Discriminator,
     Field,
+    Tag,
     ValidationError,
     ValidatorFunctionWrapHandler,
     WrapValidator,
@@ -68,6 +70,11 @@ def _of_one_kind(data: Any, validated: ValidatorFunctionWrapHandler) -> Any:
         ) from None
 
 
+def _kind(stage: Any) -> str:
+    """Which of the two a stage is meant as: what is wrong is then said of that alone."""
+    return "line" if isinstance(stage, str) else "program"
+
+
 def _known(unit: str) -> str:
     if unit not in UNITS:
         raise ValueError(f"unit {unit}: unknown; known: {', '.join(UNITS)}")
@@ -88,7 +95,7 @@ class Result(Settings):
 
 
 class Figure(Settings):
-    """One figure: result `y` over factor `x`, intervals by bootstrap.
+    """One figure: result `y` over factor `x`, means with their intervals.
 
     One line for each level of `lines`, in one panel for each level of `panels`.
     """
@@ -122,7 +129,12 @@ class Campaign(Settings):
     bags: list[str] = Field([])
     factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
     sample: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = None
-    stages: dict[str, str | ProgramRequest]
+    stages: dict[
+        str,
+        Annotated[
+            Annotated[str, Tag("line")] | Annotated[ProgramRequest, Tag("program")], Discriminator(_kind)
+        ],
+    ]
     shared: list[str] = Field([])
     results: dict[str, Result]
     compare: str | None = None

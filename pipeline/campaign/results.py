@@ -77,13 +77,11 @@ def write_results(
     few = [name for name in campaign.factor_names if len(levels_of(rows, name)) <= MANY]
     write_table(rows, _partition(campaign, few), runs)
     results = list(campaign.results)
-    summaries = {
-        factor: summarise(rows, factor, results, campaign.seed) for factor in few if factor != "seed"
-    }
+    summaries = {factor: summarise(rows, factor, results) for factor in few if factor != "seed"}
     pairs = []
     if campaign.compare is not None and campaign.against is not None:
         others = [factor for factor in campaign.factor_names if factor != campaign.compare]
-        pairs = compare_pairs(rows, campaign.compare, campaign.against, others, results, campaign.seed)
+        pairs = compare_pairs(rows, campaign.compare, campaign.against, others, results)
     write_json(
         folder / "summary.json",
         {

@@ -27,6 +27,7 @@ from turtlebag.pipeline.campaign.results import absent_results, write_results
 from turtlebag.pipeline.campaign.store import UNFINISHED, Store, or_else
 from turtlebag.pipeline.campaign.worst import worst_case
 from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import log, track
 
@@ -106,13 +107,18 @@ def sweep(
 
 
 def _inputs(campaign_name: str, todo: Sequence[Case]) -> dict[str, Path]:
-    """The campaign file, and every file and folder of outputs that a stage's command names."""
+    """The campaign file, every file and folder of outputs that a stage's command names, and what programs are
+    measured by."""
     words = {word for case in todo for line in case.commands.values() for word in line}
     values = {word.partition("=")[2] if word.startswith("--") else word for word in words}
     named = {word: Path(word.partition("+clutter:")[0].partition(":")[0]) for word in values}
     files = {
         str(path): path for path in named.values() if path.is_file() or (path / "manifest.json").is_file()
     }
+    programs = [
+        request for case in todo for request in case.requests.values() if isinstance(request, ProgramRequest)
+    ]
+    files |= {str(path): path for request in programs for path in request.files()}
     return {"campaign": campaign_path(campaign_name), **dict(sorted(files.items()))}
 
 
