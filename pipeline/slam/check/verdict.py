@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S, gap_s, way_and_turn
+from turtlebag.datasets.motion import FASTER, GAP_PERIODS, gap_s, way_and_turn, without_gap
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
@@ -28,9 +28,8 @@ from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
-from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
+from turtlebag.pipeline.slam.odometry.track import AGREE, AGREE_M, HYPOTHESES, Track
 from turtlebag.pipeline.slam.sessions import Session
-from turtlebag.pipeline.slam.times.stretches import odometry_stream, usual_period
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
@@ -165,7 +164,7 @@ def _merged(recording: Recording) -> Iterator[Term]:
 def _motions(session: Session, T_map_base: SE2) -> Iterator[Term]:
     """Jumps and slides that the robot cannot have made, and a clock that went back."""
     recording, evidence = session.recording, session.evidence
-    for reason in (*_back_in_time(evidence), *_jumps(evidence, T_map_base, _steps_in_gap(recording))):
+    for reason in (*_back_in_time(evidence), *_jumps(evidence, T_map_base)):
         yield Term("moved", 1.0, reason)
         return
     slid = slides(recording, T_map_base, evidence.borders)
@@ -238,9 +237,9 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * against > visits)
 
 
-def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
+def _jumps(evidence: Evidence, T_map_base: SE2) -> list[str]:
     """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
-    for over in (1, steps_in_gap):
+    for over in (1, GAP_PERIODS):
         jumped = evidence.jumps(T_map_base, over)
         if len(jumped):
             many, first = counted(len(jumped), "jump"), jumped[0, 1]
@@ -262,36 +261,19 @@ def _back_in_time(evidence: Evidence) -> list[str]:
     ]
 
 
-def _steps_in_gap(recording: Recording) -> int:
-    """The usual number of steps in GAP_S."""
-    return max(1, round(GAP_S / usual_period(recording)))
-
-
 def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Scans (k,) up to which the poses (n,) slid sideways, over as many steps as GAP_S usually has, farther
-    than the robot's wheels ever go by the odometry; none without odometry.
-
-    How the robot drove between scans that are far apart only odometry that came meanwhile tells.
-    """
+    """Scans (k,) up to which the poses (n,) slid sideways, over GAP_PERIODS steps, farther for the way driven
+    than the wheels ever go by the odometry; none without odometry, or across a gap."""
     if recording.T_odom_base is None:
         return np.zeros(0, dtype=np.int64)
-    stream, stamps_ns = odometry_stream(recording), recording.stamps_ns
-    slid = np.where(_together(stream.stamps_ns), _sideways(stream.poses), 0.0)
-    slid = np.interp(stamps_ns, stream.stamps_ns, np.append(0.0, np.cumsum(slid)))
-    by_odometry = np.abs(np.diff(slid))
-    aside = _sideways(T_map_base)
-    aside = np.where(_together(stamps_ns), aside, np.clip(aside, -by_odometry, by_odometry))
-    aside[borders - 1] = 0.0
-    usual = np.quantile(by_odometry, 1.0 - MOST_WRONG) if len(by_odometry) else 0.0
-    total, over = np.append(0.0, np.cumsum(aside)), _steps_in_gap(recording)
-    far = np.abs(total[over:] - total[:-over]) > AGREE_M + FASTER * over * usual
+    known, over = without_gap(seconds(np.diff(recording.stamps_ns))), GAP_PERIODS
+    known[borders - 1] = False
+    usual = np.quantile(np.abs(_sideways(recording.T_odom_base)), 1.0 - MOST_WRONG) if len(known) else 0.0
+    aside = np.where(known, _sideways(T_map_base), 0.0)
+    most = AGREE * way_and_turn(T_map_base.steps())[:, 0] + FASTER * usual
+    aside, most = (np.append(0.0, np.cumsum(steps)) for steps in (aside, most))
+    far = np.abs(aside[over:] - aside[:-over]) > AGREE_M + most[over:] - most[:-over]
     return over + np.flatnonzero(far)
-
-
-def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of these stamps (n,) are followed by the next soon enough for a single arc, (n - 1,)."""
-    waits = seconds(np.diff(stamps_ns))
-    return np.asarray((waits > 0.0) & (waits < GAP_S))
 
 
 def _sideways(T_map_base: SE2) -> Array:

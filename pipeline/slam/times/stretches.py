@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import nanoseconds, seconds
-from turtlebag.datasets.motion import fastest, known_motion, way_and_turn, without_gap
+from turtlebag.datasets.motion import fastest, known_motion, usual_wait_s, way_and_turn, without_gap
 from turtlebag.datasets.se2 import wrap
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
@@ -105,6 +105,5 @@ def thinned_scans(recording: Recording) -> Recording:
 
 
 def usual_period(recording: Recording) -> float:
-    """Median time between scans [s]; PERIOD_S if the clock stands still."""
-    waits = seconds(np.diff(recording.stamps_ns))
-    return float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S
+    """The usual time between scans [s]; PERIOD_S if the clock stands still."""
+    return usual_wait_s(seconds(np.diff(recording.stamps_ns))) or PERIOD_S
