@@ -7,9 +7,10 @@ import pytest
 
 from tests.helpers.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
+from turtlebag.pipeline.slam.graph.constraints import Kind
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.evidence import evidence_of
-from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig, step_constraints
 from turtlebag.pipeline.slam.odometry.trust import OdometryTrust
 from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE, contradiction
 
@@ -141,3 +142,18 @@ def test_a_contradiction_is_in_standard_deviations_of_both(seed):
     assert contradiction(apart, a, b) == pytest.approx(apart @ np.linalg.solve(both, apart), rel=1e-3)
     blind = b - np.outer(b[0], b[0]) / b[0, 0]
     assert contradiction(np.array([1.0, 0.0, 0.0]), a, blind) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_wheels_that_stood_still_while_the_scans_moved_are_no_surer_than_wheels_that_drove():
+    """MIT CSAIL without scans for 20 s, in which the wheels said nothing: they were sure to 1 mm."""
+
+    def sure(way):
+        T, steps = SE2.from_xyt([0.0, 4.0], 0.0, 0.0), np.array([[way, 0.0, 0.0]])
+        see = np.zeros((2, 3, 3)), np.ones(2)
+        track = Track(
+            T, np.arange(2), see[1], see[1], see[0], np.zeros(2, np.int8), steps, Calibration(), see[1] > 0
+        )
+        return next(c for c in step_constraints(track, TrackingConfig()) if c.kind is Kind.WHEELS).information
+
+    assert np.array_equal(sure(0.0), sure(4.0))
+    assert (np.diag(sure(8.0)) < np.diag(sure(4.0))).all()
