@@ -1,7 +1,5 @@
 """Which is trusted: odometry that the scans contradict, and scans that observe little."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -81,46 +79,6 @@ def test_distrusted_wheels_count_for_nothing_where_scans_observe_little_either()
     assert evidence.distrusted[12:].all()
     # what the scans saw needs no other evidence
     assert not evidence.unobserved_m.any()
-
-
-def unobserved_way_along(step, stamps_ns=None):
-    """Metres of each step (n,) [m] that nobody saw, where the scans after the thirtieth do not see ahead."""
-    n = np.arange(len(step))
-    poses = np.column_stack([np.cumsum(step), 0.0 * n, 0.0 * n])
-    log = recording(ROOM, poses, odometry=poses)
-    log = log if stamps_ns is None else replace(log, stamps_ns=stamps_ns)
-    seen = np.where((n > 30)[:, None, None], BLIND, SEES)
-    source, none = np.zeros(len(n), np.int8), np.zeros(len(n))
-    track = Track(
-        SE2(poses), n, none + 1.0, none, seen, source, np.diff(poses, axis=0), Calibration(), n >= 0
-    )
-    return evidence_of(log, track, OdometryNoise()).unobserved_m
-
-
-def test_a_speed_that_no_scan_ever_confirmed_is_nobodys_word():
-    """Wheels that spin in a bare corridor, at three times the robot's speed: 3.9 m off, and called good."""
-    n = np.arange(100)
-    step = np.interp(n, [40, 50, 60, 70], [0.1, 0.3, 0.3, 0.1])
-    way = unobserved_way_along(step * (n > 0))
-    np.testing.assert_allclose(way[45:66], step[45:66])
-    assert not way[:39].any()
-    assert not way[72:].any()
-
-
-def test_wheels_that_turn_round_at_once_in_the_dark_are_not_believed_there():
-    """They count backwards in a bare corridor: 5.3 m off, and called good. So are wheels that spin at
-    once; those that stop may be right."""
-    n = np.arange(60)
-    way = unobserved_way_along(np.where((n > 40) & (n <= 50), -0.1, 0.1) * (n > 0))
-    np.testing.assert_allclose(way[31:], 0.1)
-    assert not way[:31].any()
-    assert unobserved_way_along(np.where((n > 40) & (n <= 50), 0.3, 0.1) * (n > 0))[31:].all()
-    assert not unobserved_way_along(np.where((n > 40) & (n <= 50), 0.0, 0.1) * (n > 0)).any()
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_log_without_time_knows_no_speed():
-    assert not unobserved_way_along(np.full(60, 0.1), np.zeros(60, np.int64)).any()
 
 
 @pytest.mark.filterwarnings("error")
