@@ -36,7 +36,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio studio-pictures notebooks record map navigate report verify dist docs lint test browser clean \
-  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install platforms bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks board
+  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install platforms bench-sweep bench-front-ends bench-peers peers mutants coverage pytest study-advice study-ablation study-breaks board
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -178,8 +178,19 @@ coverage: $(READY) ## lines and branches that the tests reach, by file, also in 
 study-advice study-ablation study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*
 
-board: $(READY) ## the board: the standard drives, mapped by our systems; resumes if stopped
-	$(TURTLEBAG) board --out $(DATA)/board
+# Other people's libraries, in an environment of their own.
+PEERS := $(CURDIR)/data/peers/bin
+$(PEERS)/.ready: benchmarks/peers/pyproject.toml benchmarks/peers/peers.py
+	$(PYTHON) -m venv data/peers
+	$(PEERS)/pip install --quiet ./benchmarks/peers
+	rm -rf benchmarks/peers/build benchmarks/peers/*.egg-info
+	@touch $@
+peers: $(PEERS)/.ready ## install KISS-ICP, small_gicp, yag-slam and IR-SIM as programs, for the board and bench-peers
+bench-peers: $(READY) peers ## ours beside other people's libraries: accuracy, CPU, memory, start-up; resumes if stopped
+	PATH="$(CURDIR)/.venv/bin:$(PEERS):$$PATH" sh benchmarks/peers/bench.sh
+
+board: $(READY) ## the board: standard inputs, our systems and (after make peers) others; resumes if stopped   (INPUTS='arena-*')
+	PATH="$(PEERS):$$PATH" $(TURTLEBAG) board $(if $(INPUTS),--inputs '$(INPUTS)') --out $(DATA)/board
 
 dist: $(READY) ## build the sdist, and the wheel from it, into dist/
 	$(PY) -m build --no-isolation

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -114,13 +114,13 @@ class Campaign(Settings):
     `bags`: URLs of bags and logs, or of folders of them, also with *; they are the levels of the factor
     `bag`, and `{bag}` in a command is where such a bag lies. `factors`: a list of values, `{first, last}` for
     whole numbers, `{low, high}` to draw from, or named levels whose text is put into the command as several
-    words and may name other factors. `stages`: command lines without `--out`, with `{factor}` and `{stage}`
-    (an earlier stage's folder) in braces; `{factor:1-0.5*x}` is a number computed from the level x,
+    words and may name other factors and stages. `stages`: command lines without `--out`, with `{factor}` and
+    `{stage}` (an earlier stage's folder) in braces; `{factor:1-0.5*x}` is a number computed from the level x,
     `{factor:a|b|c}` the text that stands where the level stands among its factor's. A stage in `shared` is
     run once for all cases that give it the same command; one with `command`, a list of words, is somebody
-    else's program, which writes into `{out}`. `results`: name -> `stage:path` in that stage's
-    metrics.json, or `{at: stage:path, label: ..., unit: ...}`. `against`: the level that `compare`'s other
-    levels are paired with.
+    else's program, which writes into `{out}`; a word `{factor}` stands for the words of its level. `results`:
+    name -> `stage:path` in that stage's metrics.json (or its manifest), or `{at: stage:path, label: ...,
+    unit: ...}`. `against`: the level that `compare`'s other levels are paired with.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9_-]+$")]
@@ -130,7 +130,7 @@ class Campaign(Settings):
     factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
     sample: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = None
     stages: dict[
-        str,
+        Annotated[str, Field(pattern=r"^[^./\x00][^/\x00]*$")],  # a folder of that name
         Annotated[
             Annotated[str, Tag("line")] | Annotated[ProgramRequest, Tag("program")], Discriminator(_kind)
         ],
@@ -174,14 +174,6 @@ class Campaign(Settings):
         """What each result is called, and its unit."""
         return {key: (item.label or key.replace("_", " "), item.unit) for key, item in self.results.items()}
 
-    def with_only(self, levels: Mapping[str, Sequence[Scalar]]) -> Campaign:
-        """The same with these levels of these factors and no others."""
-        cut: dict[str, Levels] = {}
-        for name, chosen in levels.items():
-            old = self.factors[name]
-            cut[name] = {str(x): old[str(x)] for x in chosen} if isinstance(old, dict) else list(chosen)
-        return self.model_copy(update={"factors": {**self.factors, **cut}})
-
     def chosen(self, row: Mapping[str, Any]) -> str:
         """The levels of a case by its row of the table."""
         return ", ".join(f"{factor} {row[factor]}" for factor in self.factor_names)
@@ -223,10 +215,12 @@ class Campaign(Settings):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a result; rename one")
 
     def _outputs_are_the_campaigns(self) -> None:
-        """No stage says where it writes to."""
+        """No stage of ours says where it writes to; a program may, and levels that are words of one."""
+        told = [stage.command for stage in self.stages.values() if not isinstance(stage, str)]
+        words = {word for command in told for word in command}
         texts = {f"stages.{stage}": line for stage, line in self.stages.items() if isinstance(line, str)}
         for name, levels in self.factors.items():
-            if isinstance(levels, dict):
+            if isinstance(levels, dict) and f"{{{name}}}" not in words:
                 texts |= {f"factors.{name}.{level}": text for level, text in levels.items()}
         for where, text in texts.items():
             if OWN_OUTPUT.search(text):

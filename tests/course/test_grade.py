@@ -2,10 +2,12 @@
 
 import dataclasses
 import json
+import runpy
 from functools import cache
 
 import pytest
 
+from turtlebag import testing
 from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
@@ -113,6 +115,13 @@ def test_the_solution_has_full_marks(number):
     graded = marked(solution_of(number), LESSONS[number], solution, limit_s)
     assert (graded.mark, graded.words) == (100, "all cases are right")
     assert graded.cpu_s < 10.0
+
+
+def test_solutions_that_are_parts_pass_the_checks_of_parts():
+    back_end, navigation = (runpy.run_path(str(solution_of(number))) for number in (3, 7))
+    testing.check_back_end(back_end["BackEnd"])
+    testing.check_planner(navigation["GlobalPlanner"])
+    testing.check_controller(navigation["Controller"])
 
 
 def test_a_case_that_the_solution_does_not_solve_is_not_set(file):

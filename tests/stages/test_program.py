@@ -12,6 +12,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
+from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.sweep import sweep
 from turtlebag.pipeline.campaign.table import query
@@ -67,6 +68,27 @@ def test_a_program_is_measured_as_ours_is_and_so_is_what_it_takes(tmp_path, camp
     assert rows[0][1] == pytest.approx(0.0, abs=1e-6)
     assert rows[1][1] > 0.01
     assert all(cpu > 0.0 and 1.0 < mb < 1000.0 for _, _, cpu, mb in rows)
+
+
+LEVELS = """
+name: others
+factors: {{system: {{first: "run --on {{record}} -o {{out}}", second: "{second}"}}}}
+stages:
+  record: "record --world empty"
+  slam: {{command: ["{{system}}", "--last"]}}
+results: {{cpu: "slam:cpu_s"}}
+"""
+
+
+def test_the_text_of_a_level_is_several_words_of_a_program_and_names_earlier_stages(tmp_path):
+    file = tmp_path / "others.yaml"
+    file.write_text(LEVELS.format(second="walk '{record}/a b'"))
+    first, second = (case.requests["slam"].command for case in cases(load_campaign(str(file))))
+    assert first == ("run", "--on", "{record}", "-o", "{out}", "--last")
+    assert second == ("walk", "{record}/a b", "--last")
+    file.write_text(LEVELS.format(second="walk {slam}"))
+    with pytest.raises(InputError, match=r"stages\.slam: \{slam\} is not an earlier stage"):
+        cases(load_campaign(str(file)))
 
 
 def test_a_campaign_with_a_program_is_refused_unless_that_is_allowed(tmp_path, campaign, capsys):
