@@ -45,7 +45,8 @@ def motor_findings(recording: Recording, commands: Commands | None, limits: Limi
     first = int(np.argmax(np.abs(np.diff(wanted[which][1][best], prepend=0.0)) > 0.0)) if len(dt) else 0
     some = slice(max(first - 30, 0), first + 300)
     found.plots["command"] = Plot(
-        "Commands and speed", "Ten seconds: the speed by odometry follows the command, as late as it is.",
+        ("command_delay", "max_dv", "max_dw"), "Commands and speed",
+        "Ten seconds: the speed by odometry follows the command, as late as it is.",
         "time [s]", ("forward [m/s]", "turning [rad/s]")[which], {},
         {"command": (times[some] - times[0], wanted[which][1][0][some]),
          "odometry": (times[some] - times[0], speeds[which][some])},
@@ -107,9 +108,7 @@ def _delay(parts: list[Array], changes: list[int], every_s: float, limits: Limit
     # between two commands or two readings of the speed, any delay is as good
     width = max(_middle(both.sum(axis=0))[1], every_s)
     sigma = float(np.hypot(sigmas[0], 0.6 * width / 1.96))
-    found.estimates.append(
-        Estimate("command_delay", float(values[0]), sigma, "s", EQUATION, "", freedom, figure="command")
-    )
+    found.estimates.append(Estimate("command_delay", float(values[0]), sigma, "s", EQUATION, "", freedom))
 
 
 def _middle(cost: Array) -> tuple[float, float]:
@@ -143,5 +142,5 @@ def _acceleration(
     found.estimates.append(
         unknown(name, usual, unit, EQUATION, why)
         if why
-        else Estimate(name, value, sigma * value, unit, EQUATION, "", freedom, True, "command")
+        else Estimate(name, value, sigma * value, unit, EQUATION, "", freedom, True)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
 from turtlebag.pipeline.stages.sources import Source
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.identify import draw_plots, identify_page
+from turtlebag.reports.figures.robots import draw_plots
+from turtlebag.reports.identify import identify_page
 from turtlebag.sim.robots import RobotSpec
 
 
@@ -52,13 +54,14 @@ def identify_robot(
 
 
 def metrics_of(found: Identification) -> dict[str, Any]:
-    """metrics.json: the value and interval of each parameter that the bag shows."""
-    shown = {
-        one.name: {"value": one.value, "interval_95": list(one.interval_95)}
-        for one in found.estimates
-        if one.observable
+    """metrics.json: each parameter, its equation apart."""
+    parameters = {
+        name: {key: value for key, value in entry.items() if key != "equation"}
+        for name, entry in found.as_record()["parameters"].items()
     }
-    return {"scans": len(found.recording), "log_s": found.recording.duration(), "parameters": shown}
+    shown = sum(one.observable for one in found.estimates)
+    counts = {"scans": len(found.recording), "log_s": found.recording.duration(), "observable": shown}
+    return {**counts, "parameters": parameters}
 
 
 def write_identification(found: Identification, folder: Path, source: Path) -> None:
@@ -72,13 +75,16 @@ def write_identification(found: Identification, folder: Path, source: Path) -> N
     (folder / "nav2.yaml").write_text(_yaml(nav2_yaml(values, base)))
     (folder / "scan_filter.yaml").write_text(_yaml(scan_filter(values)))
     (folder / "static_transform_publisher.txt").write_text(transform_arguments(values, base))
+    plots = {name: plot.as_record() for name, plot in found.plots.items()}
+    (folder / "plots.json").write_text(json.dumps(plots))
     album = Album(folder / "figures")
-    draw_plots(found.plots, album)
+    draw_plots(plots, album)
     others = {
         name: (folder / name).read_text()
         for name in ("nav2.yaml", "scan_filter.yaml", "static_transform_publisher.txt")
     }
-    page = identify_page(source.name, base.name, found.as_record()["parameters"], album.pictures, others)
+    data = {name: key for key, plot in found.plots.items() for name in plot.of}
+    page = identify_page(source.name, found.as_record(), album.pictures, data, others)
     (folder / "index.html").write_text(page)
 
 
