@@ -33,7 +33,7 @@ GRAZED, LEAST_GRAZING = 0.1, 0.002
 # Walls are met across at cosines of more than this; directions of beams may be off by this [rad].
 ACROSS, ASIDE_RAD = 0.7, 0.002
 # Not all that looks like a wall is one: by so large a share each number may be wrong for it.
-MODEL, LOST_MODEL = np.array([0.01, 0.015, 0.03]), np.array([0.02, 0.03])
+MODEL, LOST_MODEL = np.array([0.004, 0.004, 0.015]), np.array([0.02, 0.01])
 # Variance of a unit Gaussian that is cut at three standard deviations; units of the file by those of the fit.
 TRUNCATED, TO_FIT = 0.97334, np.array([1.0, 1.0, np.rad2deg(1.0)])
 # Steps of the readings that are looked for [m].
@@ -324,7 +324,7 @@ def _periods(gaps: Array, period: float) -> list[Estimate]:
             Estimate(
                 name,
                 value,
-                0.5 * float(np.hypot(of_log, 0.2)) * value,
+                0.5 * float(np.hypot(of_log, 0.05)) * value,
                 unit,
                 STAMPS_EQUATION,
                 "",
