@@ -11,7 +11,8 @@ from turtlebag.reports.metric_specs import SECTIONS, SPECS, MetricSpec, Section
 from turtlebag.reports.stages import Stage
 
 DASH = "\u2013"
-LARGEST = 1e100
+LARGEST = 1e60
+"""Its fourth power, as in the spread of a difference, is still a number."""
 
 
 class Unit(NamedTuple):

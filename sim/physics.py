@@ -13,7 +13,7 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.sim.bullet import bullet
+from turtlebag.sim import bullet
 from turtlebag.sim.bullet_bodies import create_bodies, create_body, groups
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 from turtlebag.sim.shapes import Solid
