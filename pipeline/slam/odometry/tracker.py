@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import GAP_S, gap_s
+from turtlebag.datasets.motion import GAP_PERIODS, gap_s
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
@@ -67,7 +67,9 @@ class Tracker:
             self.velocity = self._velocity(wait_s)
         before, self.scan = self.scan, self.scan + 1
         self._waits_s.append(wait_s)
-        self.after_gap = abs(wait_s) > GAP_S and abs(wait_s) > gap_s(np.array(self._waits_s))
+        # no need to look closely at every wait: it is hardly ever ten of the shortest
+        long = abs(wait_s) > GAP_PERIODS * min(self._waits_s)
+        self.after_gap = long and abs(wait_s) > gap_s(np.array(self._waits_s))
         step = None if self.odometry is None else self.odometry_since(before)
         last_key, moved = self._last_key(), True
         if self._front_end is None or last_key is None:
