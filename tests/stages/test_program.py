@@ -122,6 +122,12 @@ def test_a_program_that_fails_says_why_in_one_line_and_leaves_nothing(tmp_path, 
     assert not out.exists()
 
 
+def test_a_word_of_a_program_may_be_longer_than_any_files_name(tmp_path, campaign):
+    script = "# words " * 40
+    campaign.write_text(campaign.read_text().replace('"{metres}"]', f'"{{metres}}", "{script}"]'))
+    assert sweep(str(campaign), Output(tmp_path / "out"), scheduler="threads", allow_commands=True) == 0
+
+
 def test_a_program_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match="/no/such/program: cannot be started"):
         run(ProgramRequest(command=("/no/such/program",)), Output(tmp_path / "out", command=["none"]))
