@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "pipeline/navigation": [*BELOW, "pipeline/slam", "pipeline/localisation", "pipeline/terminal"],
     "pipeline/twin": ["datasets", "sim", "pipeline/slam", "pipeline/identify"],
 }
-MAY_IMPORT["pipeline/course"] = ["datasets", "sim", "reports"]
+MAY_IMPORT["pipeline/course"] = [*BELOW, "pipeline/slam"]
 MAY_IMPORT["pipeline/studio"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/stages"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/campaign"] = [*MAY_IMPORT]

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.seeds import stream
-from turtlebag.pipeline.course.process import Ask
+from turtlebag.pipeline.course.process import Pupil
 
 VISIBLE, HIDDEN = 2, 6
 """Cases of a lesson: those that everybody sees, and those of the teacher's salt."""
+DRAWN = 12
+"""Hidden cases are drawn until the solution solves enough of them, at most so many."""
 FULL, HALF = 2, 1
 STEP, PASSED = 10, 60
 """Marks come in steps of ten of a hundred."""
@@ -23,48 +25,55 @@ STEP, PASSED = 10, 60
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A task: arguments of the class, the questions to ask it, and the truth, which stays here."""
+    """A task: arguments of the class, the questions to ask it, and the truth, which stays here.
+
+    In a lesson that drives, `truth` is what the drive must do, and `hidden` what it begins from.
+    """
 
     new: dict[str, Any]
     questions: tuple[dict[str, Any], ...]
     truth: Array
-    shown: dict[str, Any]
+    hidden: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Lesson:
-    """A class to complete, and how it is marked.
+    """Classes to complete, and how they are marked.
 
     `make` a case of a random stream; `play` it by asking, which gives the result; `error` of a result
     [`unit`], full points up to `good`, half up to `fair`; `words` about a result that is not good; `draw` it.
+    `beside` says what the result is shown with: the truth, or what the solution gives.
     """
 
     number: int
     title: str
-    contract: type
-    method: str
+    contracts: tuple[type, ...]
     unit: str
     good: float
     fair: float
     make: Callable[[np.random.Generator], Case]
-    play: Callable[[Case, Ask], Array]
+    play: Callable[[Case, Pupil], Array]
     error: Callable[[Case, Array], float]
     words: Callable[[Case, Array], str]
     draw: Callable[[Axes, Case, Array | None, str], None]
+    beside: Literal["true", "the best fit", "the solution"] = "true"
 
     @property
-    def name(self) -> str:
-        """The class that a file must have."""
-        return self.contract.__name__
+    def wanted(self) -> dict[str, list[str]]:
+        """The classes that a file must have, and their methods."""
+        return {
+            one.__name__: [name for name in vars(one) if name[0] != "_" and callable(getattr(one, name))]
+            for one in self.contracts
+        }
 
     def visible(self) -> list[Case]:
         """The cases that everybody sees."""
         return [self.make(stream(k, f"lesson{self.number}-visible")) for k in range(VISIBLE)]
 
-    def hidden(self, salt: str) -> list[Case]:
-        """The cases of a salt."""
+    def hidden(self, salt: str) -> Iterator[Case]:
+        """The cases of a salt, one after another."""
         seed = int.from_bytes(hashlib.sha256(salt.encode()).digest()[:6])
-        return [self.make(stream(seed + k, f"lesson{self.number}-hidden")) for k in range(HIDDEN)]
+        return (self.make(stream(seed + k, f"lesson{self.number}-hidden")) for k in range(DRAWN))
 
     def points(self, error: float) -> int:
         """Of an error: 2, 1 or 0."""
@@ -76,11 +85,13 @@ def mark_of(points: list[int]) -> int:
     return STEP * (100 * sum(points) // (FULL * len(points)) // STEP)
 
 
-def once(case: Case, ask: Ask) -> Array:
-    """Ask all questions of a case: the answers, stacked, or the answer if it is one question."""
-    answers = [ask(shape=case.truth.shape[-1:] if len(case.questions) > 1 else case.truth.shape, **asked)
-               for asked in case.questions]  # fmt: skip
-    return answers[0] if len(answers) == 1 else np.stack(answers)
+def once(case: Case, pupil: Pupil) -> Array:
+    """Make the object of a case and ask its questions: the answers, stacked, or the only one."""
+    ((name, (method, *_)),) = pupil.wanted.items()
+    pupil.new(name, **case.new)
+    if len(case.questions) == 1:
+        return pupil.ask(method, case.truth.shape, **case.questions[0])
+    return np.stack([pupil.ask(method, case.truth.shape[1:], **asked) for asked in case.questions])
 
 
 def pose_error(a: Array, b: Array) -> float:

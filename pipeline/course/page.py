@@ -16,23 +16,26 @@ from turtlebag.reports.page import fill
 def grade_page(graded: Grade, source: str, figures: Path) -> str:
     """The page as HTML text. Drawn are the first visible case and the worst hidden one."""
     album = Album(figures)
-    lesson = graded.lesson
-    hidden = [one for one in graded.outcomes if one.name.startswith("hidden")]
-    for one in (graded.outcomes[0], min(hidden, key=lambda one: one.points)):
+    pairs = list(zip(graded.outcomes, graded.solution, strict=True))
+    hidden = [pair for pair in pairs if pair[0].name.startswith("hidden")] or pairs
+    shown = {pair[0].name: pair for pair in (pairs[0], min(hidden, key=lambda pair: pair[0].points))}
+    for one, solved in shown.values():
         caption = f"{one.points} of {FULL} points: {one.words}."
-        album.add(one.name.replace(" ", "-"), one.name.capitalize(), caption, beside, lesson, one)
+        name = one.name.replace(" ", "-")
+        album.add(name, one.name.capitalize(), caption, beside, graded.lesson, one, solved)
     return fill("grade.html.j2", graded=graded, source=source, full=FULL, pictures=album.pictures)
 
 
-def beside(lesson: Lesson, outcome: Outcome) -> Figure:
+def beside(lesson: Lesson, outcome: Outcome, solved: Outcome) -> Figure:
     """Yours on the left, the truth on the right, to one scale."""
-    figure = style.new_figure(3.3)
-    yours, true = figure.subplots(1, 2, sharex=True, sharey=True)
+    figure = style.new_figure(2.6)
+    yours, other = figure.subplots(1, 2, sharex=True, sharey=True)
     lesson.draw(yours, outcome.case, outcome.answer, style.series_colour(1))
     yours.set_title("yours" if outcome.answer is not None else "yours: no answer")
-    lesson.draw(true, outcome.case, outcome.case.truth, style.series_colour(0))
-    true.set_title("true")
-    for axes in (yours, true):
+    right = solved.answer if lesson.beside == "the solution" else outcome.case.truth
+    lesson.draw(other, outcome.case, right, style.series_colour(0))
+    other.set_title(lesson.beside)
+    for axes in (yours, other):
         axes.set_aspect("equal")
         axes.set_xlabel("x [m]")
     yours.set_ylabel("y [m]")

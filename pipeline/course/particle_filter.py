@@ -34,7 +34,7 @@ def make(rng: np.random.Generator) -> Case:
         {"motion": motion, "points": points(pose, rng)[::EVERY]}
         for motion, pose in zip(motions, path[1:], strict=True)
     )
-    return Case(new, questions, path[1:], {})
+    return Case(new, questions, path[1:])
 
 
 def error(case: Case, answer: Array) -> float:
@@ -71,5 +71,5 @@ def draw(axes: Axes, case: Case, result: Array | None, colour: str) -> None:
 
 
 LESSON = Lesson(
-    6, "The particle filter", ParticleFilter, "update", "m", GOOD, FAIR, make, once, error, words, draw,
+    6, "The particle filter", (ParticleFilter,), "m", GOOD, FAIR, make, once, error, words, draw,
 )  # fmt: skip

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import os
+import pickle
 import re
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,9 +30,6 @@ ANSWER_BYTES = 20_000_000
 LEAST_CPU_S, FIRST_CPU_S = 5, 60
 """CPU seconds: the least that anybody gets, and what the solution gets, whose time is not known yet."""
 
-Ask = Callable[..., Array]
-"""Ask the object of a case: the arguments of its method in, its answer as an array out."""
-
 
 class Fault(Exception):
     """What a file did wrong in one case, in a line."""
@@ -46,8 +44,8 @@ class Pupil:
     """A running file. Use as a context manager; `cpu_s` and `printed` are known when it is left."""
 
     source: Path
-    name: str
-    method: str
+    wanted: Mapping[str, Sequence[str]]
+    """The classes that it must have, and their methods."""
     limit_s: int = FIRST_CPU_S
     printed: str = field(default="", init=False)
     cpu_s: float = field(default=0.0, init=False)
@@ -58,15 +56,8 @@ class Pupil:
         theirs_in, ours_out = os.pipe()
         ours_in, theirs_out = os.pipe()
         self._folder = tempfile.TemporaryDirectory(prefix="turtlebag-grade-")
-        words = [
-            self.source.resolve(),
-            self.name,
-            self.method,
-            MEMORY_MB,
-            self.limit_s,
-            theirs_in,
-            theirs_out,
-        ]
+        source, wanted = self.source.resolve(), json.dumps(self.wanted)
+        words = [source, wanted, MEMORY_MB, self.limit_s, theirs_in, theirs_out]
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "turtlebag.pipeline.course.pupil", *map(str, words)],
@@ -76,7 +67,7 @@ class Pupil:
         )  # fmt: skip
         os.close(theirs_in)
         os.close(theirs_out)
-        self._questions, self._answers = os.fdopen(ours_out, "w"), os.fdopen(ours_in, "rb")
+        self._questions, self._answers = os.fdopen(ours_out, "wb"), os.fdopen(ours_in, "rb")
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         # Who sleeps uses no CPU time.
@@ -99,22 +90,30 @@ class Pupil:
         if "ready" not in answer:
             raise Ended(str(answer.get("fault")))
 
-    def new(self, given: dict[str, Any]) -> None:
-        """Make an object of its class for a case."""
-        self._say({"new": given})
+    def new(self, name: str, **given: Any) -> None:
+        """Make an object of the class of that name, in place of the last one."""
+        self._say({"new": name, "given": given})
 
-    def ask(self, shape: tuple[int, ...] | None = None, **given: Any) -> Array:
-        """Call its method: an array of that shape, with finite numbers only. Fault for anything else."""
-        value = np.array(self._say({"call": given}), dtype=float)
-        if shape is not None and value.shape != shape:
-            raise Fault(f"{self.method} returned an array of shape {value.shape}; it must be {shape}")
+    def ask(self, method: str, shape: tuple[int | None, ...] | None, **given: Any) -> Array:
+        """Call a method: an array of that shape (None: any length), with finite numbers only.
+
+        Without a shape, the answer is not looked at. Fault for anything else.
+        """
+        value = np.array(self._say({"call": method, "given": given, "mute": shape is None}), dtype=float)
+        if shape is None:
+            return value
+        if len(shape) != value.ndim or any(
+            n not in (None, m) for n, m in zip(shape, value.shape, strict=True)
+        ):
+            must = str(shape).replace("None", "n")
+            raise Fault(f"{method} returned an array of shape {value.shape}; it must be {must}")
         if not np.isfinite(value).all():
-            raise Fault(f"{self.method} returned numbers that are not finite")
+            raise Fault(f"{method} returned numbers that are not finite")
         return value
 
     def _say(self, question: dict[str, Any]) -> Any:
         try:
-            self._questions.write(json.dumps(_listed(question)) + "\n")
+            pickle.dump(question, self._questions)
             self._questions.flush()
         except OSError:
             raise Ended(self._reason()) from None
@@ -182,10 +181,3 @@ class Pupil:
 def cpu_limit(solution_s: float) -> int:
     """CPU seconds of a student's file: ten times those of the solution."""
     return max(LEAST_CPU_S, math.ceil(10.0 * solution_s))
-
-
-def _listed(value: Any) -> Any:
-    """Arrays as lists, which JSON has."""
-    if isinstance(value, dict):
-        return {name: _listed(one) for name, one in value.items()}
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -1,17 +1,19 @@
 """The process of a student's file: it has the limits, the questions of the cases, and nothing else of ours.
 
-Run as `python -m turtlebag.pipeline.course.pupil`. Questions and answers are lines of JSON; arrays travel as
-lists. A question {"new": {...}} makes an object of the class, {"call": {...}} calls its method.
+Run as `python -m turtlebag.pipeline.course.pupil`. Questions are pickled, answers lines of JSON: nothing of a
+student's is ever unpickled. A question "new" makes an object of a class, "call" calls a method of one.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import json
+import pickle
 import random
 import resource
 import sys
 import traceback
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -58,22 +60,31 @@ def fault_of(error: BaseException, source: Path) -> str:
     return f"{type(error).__name__}: {words[:ANSWER_CHARACTERS]}{where}"
 
 
-def arrays(given: dict[str, Any]) -> dict[str, Any]:
-    """The same with arrays in place of lists."""
-    return {name: np.array(one, float) if isinstance(one, list) else one for name, one in given.items()}
-
-
 def numbers(value: Any, method: str) -> Any:
-    """What was returned, as nested lists of numbers."""
+    """What was returned, as nested lists of numbers; also of a pose, poses, a plan or a twist."""
     if value is None:
         raise TypeError(f"{method} returned nothing")
+    array = getattr(getattr(value, "poses", value), "xyt", value)
     try:
-        return np.asarray(value, dtype=float).tolist()
-    except (TypeError, ValueError):
+        array = (value.v, value.w) if hasattr(value, "w") else array
+        return np.asarray(array, dtype=float).tolist()
+    except (TypeError, ValueError, AttributeError):
         raise TypeError(f"{method} returned {type(value).__name__}, not an array of numbers") from None
 
 
-def serve(source: Path, name: str, method: str, questions: Any, answers: Any) -> None:
+def classes_of(module: ModuleType, wanted: dict[str, list[str]]) -> dict[str, type]:
+    """The classes to ask; LookupError for one that is not there, or has no such method."""
+    for name, methods in wanted.items():
+        made = getattr(module, name, None)
+        if not isinstance(made, type):
+            raise LookupError(f"the file has no class {name}")
+        for method in methods:
+            if not callable(getattr(made, method, None)):
+                raise LookupError(f"the class {name} has no method {method}")
+    return {name: getattr(module, name) for name in wanted}
+
+
+def serve(source: Path, wanted: dict[str, list[str]], questions: Any, answers: Any) -> None:
     """Answer until there are no more questions."""
 
     def say(answer: dict[str, Any]) -> None:
@@ -81,37 +92,46 @@ def serve(source: Path, name: str, method: str, questions: Any, answers: Any) ->
         answers.flush()
 
     try:
-        module = load(source)
-        wanted = getattr(module, name, None)
-        if not isinstance(wanted, type):
-            raise LookupError(f"the file has no class {name}")
-        if not callable(getattr(wanted, method, None)):
-            raise LookupError(f"the class {name} has no method {method}")
+        classes = classes_of(load(source), wanted)
     except BaseException as error:
         say({"fault": str(error.args[0]) if type(error) is LookupError else fault_of(error, source)})
         return
     say({"ready": True})
-    made: Any = None
-    for line in questions:
-        asked = json.loads(line)
-        try:
-            if "new" in asked:
-                np.random.seed(0)  # noqa: NPY002 (what students use)
-                random.seed(0)
-                made, value = wanted(**arrays(asked["new"])), None
-            else:
-                value = numbers(getattr(made, method)(**arrays(asked["call"])), method)
-            say({"value": value})
-        except BaseException as error:
-            say({"fault": fault_of(error, source)})
+    made: dict[str, Any] = {}
+    with suppress(EOFError):
+        while asked := pickle.load(questions):
+            try:
+                say({"value": reply(classes, made, wanted, **asked)})
+            except BaseException as error:
+                say({"fault": fault_of(error, source)})
+
+
+def reply(
+    classes: dict[str, type],
+    made: dict[str, Any],
+    wanted: dict[str, list[str]],
+    given: dict[str, Any],
+    new: str = "",
+    call: str = "",
+    mute: bool = False,
+) -> Any:
+    """The answer to one question; what is `made` is kept by the names of its methods."""
+    if not new:
+        value = getattr(made[call], call)(**given)
+        return None if mute else numbers(value, call)
+    np.random.seed(0)  # noqa: NPY002 (what students use)
+    random.seed(0)
+    made |= dict.fromkeys(wanted[new], classes[new](**given))
+    return None
 
 
 def main(words: list[str]) -> None:
-    """`SOURCE CLASS METHOD MEMORY_MB CPU_S QUESTIONS ANSWERS`; the last two are open file descriptors."""
-    source, name, method, memory_mb, cpu_s, questions, answers = words
+    """`SOURCE WANTED MEMORY_MB CPU_S QUESTIONS ANSWERS`; the last two are open file descriptors."""
+    source, wanted, memory_mb, cpu_s, questions, answers = words
     limit(int(memory_mb), int(cpu_s))
-    with open(int(questions)) as asked, open(int(answers), "w") as said:
-        serve(Path(source), name, method, asked, said)
+    sys.modules["turtlebag.pipeline.course.solutions"] = None  # type: ignore[assignment]  # no import finds them
+    with open(int(questions), "rb") as asked, open(int(answers), "w") as said:
+        serve(Path(source), json.loads(wanted), asked, said)
 
 
 if __name__ == "__main__":

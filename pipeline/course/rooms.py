@@ -1,4 +1,4 @@
-"""The world of the lessons, and what a lidar sees in it."""
+"""The worlds of the lessons, and what a lidar sees in the arena."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
 WORLD, ROBOT = "turtlebot3_world", "burger"
+HOUSE = "turtlebot3_house"
 NOISE_M = 0.01
 CELL_M = 0.05
 
 
 @cache
-def true_map() -> OccupancyGrid:
-    """The walls at the height of the lidar."""
-    return load_world(WORLD).rasterize(load_robot(ROBOT).lidar_height, CELL_M)
+def true_map(name: str = WORLD) -> OccupancyGrid:
+    """The walls of a world at the height of the lidar."""
+    world = load_world(name)
+    return world.rasterize(load_robot(world.robot).lidar_height, CELL_M)
 
 
 @cache
-def clearance() -> Array:
+def clearance(name: str = WORLD) -> Array:
     """Distance of each free cell to the nearest one that is not [m], (rows, cols)."""
-    return distance_transform_edt(true_map().cells == 0) * CELL_M
+    return distance_transform_edt(true_map(name).cells == 0) * CELL_M
 
 
 @cache
@@ -64,9 +66,9 @@ def room_at(xy: Array) -> float:
     return float(clearance()[tuple(cell)]) if true_map().contains(cell) else 0.0
 
 
-def draw_map(axes: Axes) -> None:
-    """The walls, in grey."""
-    grid = true_map()
+def draw_map(axes: Axes, name: str = WORLD) -> None:
+    """The walls, in grey, and a frame around them."""
+    grid = true_map(name)
     axes.imshow(
         grid.cells == 100,
         cmap="Greys",
@@ -75,12 +77,17 @@ def draw_map(axes: Axes) -> None:
         extent=grid.extent(),
         interpolation="nearest",
     )
+    walls = grid.center_of(np.argwhere(grid.cells == 100))
+    (x_min, y_min), (x_max, y_max) = walls.min(axis=0) - 0.3, walls.max(axis=0) + 0.3
+    axes.set_xlim(x_min, x_max)
+    axes.set_ylim(y_min, y_max)
+    axes.grid(False)
 
 
-def free_pose(rng: np.random.Generator, room_m: float = 0.3) -> Array:
+def free_pose(rng: np.random.Generator, room_m: float = 0.3, name: str = WORLD) -> Array:
     """A random pose with that much room around it, (3,)."""
-    free = np.argwhere(clearance() > room_m)
-    x, y = true_map().center_of(free[rng.integers(len(free))])
+    free = np.argwhere(clearance(name) > room_m)
+    x, y = true_map(name).center_of(free[rng.integers(len(free))])
     return np.array([x, y, rng.uniform(-np.pi, np.pi)])
 
 

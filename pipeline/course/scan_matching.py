@@ -28,7 +28,7 @@ def make(rng: np.random.Generator) -> Case:
         "points_b": points((T_world_a @ T_a_b).xyt, rng),
         "guess": T_a_b.xyt + off,
     }
-    return Case({}, (asked,), T_a_b.xyt, {})
+    return Case({}, (asked,), T_a_b.xyt)
 
 
 def words(case: Case, answer: Array) -> str:
@@ -46,6 +46,6 @@ def draw(axes: Axes, case: Case, result: Array | None, colour: str) -> None:
 
 
 LESSON = Lesson(
-    2, "Scan matching", ScanMatcher, "match", "m + rad", GOOD, FAIR,
+    2, "Scan matching", (ScanMatcher,), "m + rad", GOOD, FAIR,
     make, once, lambda case, answer: pose_error(answer, case.truth), words, draw,
 )  # fmt: skip
