@@ -145,7 +145,7 @@ def fit(error: Array, jacobian: Array, information: Array, prior: Array) -> Fit:
         for _ in range(8):
             left = error - jacobian @ values
             trust = cauchy_weight(np.einsum("ni,nij,nj->n", left, weight, left))
-            a = np.tensordot(trust, of_pairs, 1) + prior
+            a = np.einsum("n,nab->ab", trust, of_pairs) + prior
             values = np.linalg.solve(a, trust @ towards)
         noise = noise_left(left, information)
     return Fit(values, np.linalg.inv(a), noise, trust, trust[:, None] * np.einsum("nai,ni->na", pull, left))
