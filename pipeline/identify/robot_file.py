@@ -18,7 +18,7 @@ UPDATE_M, UPDATE_RAD = 0.25, 0.2
 # No alpha below this: a filter whose particles do not spread cannot recover.
 LEAST_ALPHA = 1e-3
 # Limits of the simulator.
-LONGEST_DELAY_S, MOST_JITTER, MOST_SLIP, MOST_TURN_SLIP = 0.1, 0.05, 0.1, 0.5
+LONGEST_DELAY_S, MOST_JITTER, MOST_SLIP, MOST_TURN_SLIP = 0.2, 0.05, 0.1, 0.5
 
 
 def robot_of(values: Mapping[str, float], recording: Recording, base: RobotSpec) -> RobotSpec:
@@ -79,7 +79,7 @@ def _lidar(values: Mapping[str, float], base: RobotSpec) -> dict[str, Any]:
         "range_min": max(values["range_min"], 1e-3),
         "range_max": values["range_max"] if math.isfinite(values["range_max"]) else base.lidar.range_max,
         "rate_hz": CONTROL_HZ / max(round(CONTROL_HZ / max(values["rate"], 0.1)), 1),
-        "sweep": min(max(abs(values["sweep"]), 0.01), 1.0),
+        "sweep": _within(values["sweep"], 1.0),
         "errors": errors,
     }
 

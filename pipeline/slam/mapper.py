@@ -31,10 +31,9 @@ from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.closure import close_graph, look_again
 from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
-from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
-from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, step_constraints
+from turtlebag.pipeline.slam.odometry.tracker import follow
 from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.scans import Scans

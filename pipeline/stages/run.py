@@ -124,17 +124,15 @@ def _robot(request: IdentifyRequest | TwinRequest, out: Output) -> int:
 
     base = Path(request.robot)
     source, robot = Source.of(request), load_robot(request.robot)
-    told: dict[str, Any] = {
-        "config": request.config, "settings": request.settings,
-        "files": {"robot": base} if base.is_file() else {},
-    }  # fmt: skip
+    files = {"robot": base} if base.is_file() else {}
+    settings: dict[str, Any] = {"config": request.config, "settings": request.settings, "files": files}
     if isinstance(request, TwinRequest):
         from turtlebag.pipeline.stages.twin import make_twin
 
-        return make_twin(source, robot, out, drives=request.drives, seed=request.seed, **told)
+        return make_twin(source, robot, out, drives=request.drives, seed=request.seed, **settings)
     from turtlebag.pipeline.stages.identify import identify_robot
 
-    return identify_robot(source, robot, out, **told)
+    return identify_robot(source, robot, out, **settings)
 
 
 def _plan(request: PlanRequest, out: Output) -> int:

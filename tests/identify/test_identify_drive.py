@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 
@@ -91,6 +92,16 @@ def test_the_command_writes_a_robot_that_drives(drive, found):
     assert all(name in page for name in told)
     assert load_robot(str(out / "robot.yaml")).name == "burger_identified"
     assert "ros__parameters" in (out / "nav2.yaml").read_text()
+
+
+def test_a_plot_shows_the_data_behind_each_estimate(drive, found):
+    shown = {name for plot in found.plots.values() for name in plot.of}
+    estimated = {one.name for one in found.estimates if one.observable and one.sigma > 0.0}
+    assert estimated - shown == set()
+    place = found.plots["place"].points["turns"]
+    assert np.median(place, axis=1) == pytest.approx([-10.0, 15.0], abs=5.0)
+    beams, times = found.plots["sweep"].points["parts of the array"]
+    assert np.corrcoef(beams, times)[0, 1] > 0.9
 
 
 def test_other_programs_get_their_numbers(found):

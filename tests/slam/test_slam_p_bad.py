@@ -40,7 +40,7 @@ def test_a_map_is_doubtful_from_the_threshold_on_and_then_for_a_reason(name, siz
 def test_small_doubts_together_are_one_and_the_weightiest_comes_first():
     assert reasons(terms(uncertain=0.8)) == reasons(terms(thick=0.4)) == ()
     assert reasons(terms(thick=0.4, uncertain=0.8)) == ("uncertain", "thick")
-    assert reasons(terms(uncertain=0.1, moved=1.0)) == ("moved",)
+    assert reasons(terms(uncertain=0.1, motion=1.0)) == ("motion",)
 
 
 def test_sizes_are_doublings_above_the_usual():
