@@ -36,7 +36,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio studio-pictures notebooks record map navigate report verify dist docs lint test browser clean \
-  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants coverage pytest study-advice study-ablation study-breaks board
+  bench results bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install platforms bench-sweep bench-front-ends bench-peers peers mutants coverage pytest study-advice study-ablation study-breaks board
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -147,6 +147,8 @@ bench-studio: $(READY) ## the studio: how late its frames are, bytes, speed with
 	$(PY) -m benchmarks.studio $(if $(MINUTES),--minutes $(MINUTES))
 bench-install: $(READY) ## the wheel and all it needs from the index, beside `datasets`, and the chain   (FOR=python3.12)
 	TURTLEBAG_INSTALL_FOR=$(or $(FOR),$(PYTHON)) $(PY) -m pytest tests/test_wheel.py -k index
+platforms: $(READY) ## ask the index which of the packages have wheels for Linux on aarch64 and for macOS
+	TURTLEBAG_PLATFORMS=1 $(PY) -m pytest -s tests/cli/test_platform_wheels.py
 bench-bags: $(READY) ## bags cut and flipped, inputs of all kinds broken, and every command killed
 	TURTLEBAG_DAMAGES=500 TURTLEBAG_KILLS=10 TURTLEBAG_TRIES=100 $(PY) -m pytest tests/datasets/test_bag_damage.py tests/cli/test_fuzz.py tests/stages/test_kills.py
 bench-front-ends: $(READY) ## all logs x all front ends x all seeds, a campaign that resumes (TURTLEBAG_DATA=folder of the public logs)
@@ -176,8 +178,19 @@ coverage: $(READY) ## lines and branches that the tests reach, by file, also in 
 study-advice study-ablation study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*
 
-board: $(READY) ## the board: the standard drives, mapped by our systems; resumes if stopped
-	$(TURTLEBAG) board --out $(DATA)/board
+# Other people's libraries, in an environment of their own.
+PEERS := $(CURDIR)/data/peers/bin
+$(PEERS)/.ready: benchmarks/peers/pyproject.toml benchmarks/peers/peers.py
+	$(PYTHON) -m venv data/peers
+	$(PEERS)/pip install --quiet ./benchmarks/peers
+	rm -rf benchmarks/peers/build benchmarks/peers/*.egg-info
+	@touch $@
+peers: $(PEERS)/.ready ## install KISS-ICP, small_gicp, yag-slam and IR-SIM as programs, for the board and bench-peers
+bench-peers: $(READY) peers ## ours beside other people's libraries: accuracy, CPU, memory, start-up; resumes if stopped
+	PATH="$(CURDIR)/.venv/bin:$(PEERS):$$PATH" sh benchmarks/peers/bench.sh
+
+board: $(READY) ## the board: standard inputs, our systems and (after make peers) others; resumes if stopped   (INPUTS='arena-*')
+	PATH="$(PEERS):$$PATH" $(TURTLEBAG) board $(if $(INPUTS),--inputs '$(INPUTS)') --out $(DATA)/board
 
 dist: $(READY) ## build the sdist, and the wheel from it, into dist/
 	$(PY) -m build --no-isolation

@@ -22,10 +22,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.check.p_bad import MOST, WEIGHTS
 
 MOST_WEIGHT, RIDGE, ALARMS = 5.0, 0.3, 0.03
-PRIOR = {
-    "contradicted": 3.0, "lost": 3.0, "empty": 2.0, "broken": 4.0, "mirrored": 4.0, "moved": 4.0,
-    "merged": 4.0, "uncertain": 1.5, "thick": 2.0, "still": 3.0,
-}  # fmt: skip
+PRIOR = {"contradicted": 3.0, "scans": 2.0, "motion": 4.0, "uncertain": 1.5, "thick": 2.0}
 
 
 def features(rows: Sequence[Row]) -> Array:

@@ -16,9 +16,9 @@ KNOTS = 8
 # fast [m/s, rad/s], however rarely it does.
 FASTER, NEARLY_ALWAYS = 1.3, 0.98
 ANY_ROBOT = (1.0, 4.0)
-# Between scans further apart than this [s], and than this many usual periods, nothing is known.
-GAP_S, GAP_PERIODS = 2.0, 3.0
-# Stamps may be out of order among so many.
+# Between scans further apart than this many usual periods, nothing is known.
+GAP_PERIODS = 10
+# Stamps may be out of order, or come in a burst, among so many.
 STAMPS_NEAR = 12
 
 
@@ -29,10 +29,19 @@ def fastest(moved: Array, seconds: Array) -> Array:
     return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
 
 
+def usual_wait_s(waits_s: Array) -> float:
+    """The usual time between two scans [s] in a log with these times between scans (n,), over several scans
+    where there are enough; 0 if the clock stands still."""
+    several = min(max(len(waits_s) // 4, 1), STAMPS_NEAR)
+    stamps = np.concatenate([[0.0], np.cumsum(waits_s)])
+    means = (stamps[several:] - stamps[:-several]) / several
+    return float(np.median(means[means > 0.0])) if (means > 0.0).any() else 0.0
+
+
 def gap_s(waits_s: Array) -> float:
     """The time between two scans [s], negative or not, beyond which nothing is known of the motion, in a log
     with these times between scans (n,)."""
-    return max(GAP_S, GAP_PERIODS * float(np.median(np.abs(waits_s)))) if len(waits_s) else GAP_S
+    return GAP_PERIODS * usual_wait_s(waits_s)
 
 
 def without_gap(waits_s: Array) -> NDArray[np.bool_]:

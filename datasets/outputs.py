@@ -7,6 +7,7 @@ import json
 import math
 import os
 import platform
+import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -27,7 +28,7 @@ PACKAGES = (
     "numba",
     "gtsam",
     "kiss-icp",
-    "open3d-cpu",
+    "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d",
     "rosbags",
     "mcap",
     "ompl",

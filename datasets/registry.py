@@ -1,4 +1,4 @@
-"""Public logs by name: their URLs and descriptions, and a verified local copy of each."""
+"""Public logs and worlds by name: their URLs and descriptions, and a verified local copy of each."""
 
 from __future__ import annotations
 
@@ -27,25 +27,28 @@ class RemoteFile(NamedTuple):
 
 
 class Dataset(Settings):
-    """A public log, with everything needed to use and cite it, as registry.yaml describes it."""
+    """A public log, or worlds, with everything needed to use and cite it, as registry.yaml describes it."""
 
     name: str
     title: str
     author: str
-    relations: str
     license: str
     source: str
     folder: str
-    laser_x_m: float
-    no_return_m: float
-    beams: int
-    scans: int
+    relations: str = ""
+    laser_x_m: float = 0.0
+    no_return_m: float = 0.0
+    beams: int = 0
+    scans: int = 0
     sha256: dict[str, str]
 
     @property
     def files(self) -> list[RemoteFile]:
-        """Log and relations."""
-        return [RemoteFile(f"{self.folder}/{name}", name, digest) for name, digest in self.sha256.items()]
+        """Log and relations, or the worlds; a file of a folder below is kept by its name alone."""
+        return [
+            RemoteFile(f"{self.folder}/{name}", name.rpartition("/")[2], digest)
+            for name, digest in self.sha256.items()
+        ]
 
 
 _told = plain_values((files("turtlebag.datasets") / "registry.yaml").read_text())
@@ -59,7 +62,12 @@ def fetch(name: str) -> list[Path]:
     """
     if name not in DATASETS:
         raise InputError(f"no dataset named {name!r}; known: {', '.join(DATASETS)}")
-    return [_in_mirror(file) or _downloaded(file) for file in DATASETS[name].files]
+    return local_files(DATASETS[name])
+
+
+def local_files(dataset: Dataset) -> list[Path]:
+    """As `fetch`, of a dataset that need not be in the registry."""
+    return [_in_mirror(file) or _downloaded(file) for file in dataset.files]
 
 
 def _in_mirror(file: RemoteFile) -> Path | None:

@@ -18,11 +18,11 @@ from turtlebag.datasets.yaml_files import DUMPER, checked, read_yaml
 
 CIRCLES = "circles.yaml"
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class _Circles(Settings):
-    circles: tuple[tuple[Finite, Finite, Annotated[Finite, Field(gt=0.0)]], ...] = ()
+    circles: tuple[tuple[Metres, Metres, Annotated[Metres, Field(gt=0.0)]], ...] = ()
     """x, y, radius [m] in the frame `world`, in the plane of the lidar."""
 
 

@@ -45,6 +45,15 @@ class OmplConfig(Settings, allow_inf_nan=False):
         return self.planner or "BITstar"
 
 
+def ompl_loads() -> bool:
+    """Whether OMPL is here, which has no wheel for every platform."""
+    try:
+        from ompl import geometric  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
 @dataclass(frozen=True, eq=False)
 class DiscFloor:
     """The space of a disc of `radius` [m]: a clearance field [m], and the cells (rows, cols) to search."""

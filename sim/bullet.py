@@ -1,27 +1,34 @@
-"""Bullet's Python module, loaded without the line it prints at import."""
+"""Bullet's functions and constants, `bullet.connect` and so on, loaded when the first one is used.
+
+Worlds, robots and settings are needed where there is no Bullet, which prints a line when it is imported.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
+from typing import Any
 
 
-def _load_quietly() -> None:
+def __getattr__(name: str) -> Any:
+    """ImportError where Bullet is not installed."""
+    if name.startswith("__"):  # asked for by the import system
+        raise AttributeError(name)
+    globals().update({key: value for key, value in _loaded_quietly().items() if not key.startswith("__")})
+    return globals()[name]
+
+
+def _loaded_quietly() -> dict[str, Any]:
     sys.stdout.flush()
     kept = os.dup(1), os.dup(2)
     sink = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 1)
         os.dup2(sink, 2)
-        import pybullet  # noqa: F401
+        import pybullet
     finally:
         os.dup2(kept[0], 1)
         os.dup2(kept[1], 2)
         for descriptor in (*kept, sink):
             os.close(descriptor)
-
-
-_load_quietly()
-import pybullet as bullet  # noqa: E402
-
-__all__ = ["bullet"]
+    return vars(pybullet)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.sim.bullet import bullet
+from turtlebag.sim import bullet
 from turtlebag.sim.plans import Plan
 from turtlebag.sim.shapes import Ball, Mesh, Solid, as_rectangle
 

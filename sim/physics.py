@@ -13,7 +13,7 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.sim.bullet import bullet
+from turtlebag.sim import bullet
 from turtlebag.sim.bullet_bodies import create_bodies, create_body, groups
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
 from turtlebag.sim.shapes import Solid
@@ -80,6 +80,8 @@ class Physics:
         floor = bullet.createMultiBody(
             0.0,
             bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client),
+            # A plain rigid body: as a multi-body it would take a tenth of each physics step.
+            useMaximalCoordinates=1,
             physicsClientId=client,
         )
         bullet.changeDynamics(floor, -1, lateralFriction=1.0, physicsClientId=client)

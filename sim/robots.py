@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.settings import Finite, NonNegative, Positive, Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, MountedLidar, RobotModel
 from turtlebag.datasets.yaml_files import find_named, known_names, load_model
 
@@ -21,7 +21,12 @@ CONTROL_HZ = 30
 PERIOD_S = 1.0 / CONTROL_HZ
 """From a control step to the next."""
 
-Vector = tuple[Finite, Finite, Finite]
+MOST = 1e6
+"""No number of a robot is larger, in whichever unit."""
+Number = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, le=MOST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, le=MOST, allow_inf_nan=False)]
+Vector = tuple[Number, Number, Number]
 LidarName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]
 
 
@@ -120,8 +125,8 @@ class LidarErrors(Settings):
     @field_validator("stamp_delay")
     @classmethod
     def _in_order(cls, delay: tuple[float, float]) -> tuple[float, float]:
-        if delay[1] < delay[0] or delay[1] > 0.1:
-            raise ValueError("from and to in seconds, 0.1 at most")
+        if delay[1] < delay[0] or delay[1] > 0.2:
+            raise ValueError("from and to in seconds, 0.2 at most")
         return delay
 
 
@@ -131,13 +136,13 @@ class Lidar(Settings):
     pose: Vector
     height: Positive
     n_beams: int = Field(gt=0, le=10_000)
-    angle_min: Finite
-    angle_increment_deg: Positive
+    angle_min: Number
+    angle_increment_deg: Annotated[Positive, Field(le=360.0)]
     range_min: Positive
     range_max: Positive
     rate_hz: Positive
-    sweep: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-    """Share of a turn during which beams are taken."""
+    sweep: Annotated[float, Field(ge=-1.0, le=1.0)] = 1.0
+    """Share of a turn during which beams are taken; negative: in the opposite order, from the last one on."""
     errors: LidarErrors = LidarErrors()
 
     def spec(self, turning: bool, rate_hz: float | None = None) -> LidarSpec:
@@ -159,7 +164,7 @@ class Lidar3dMount(Settings):
 
     position: Vector
     n_rings: int = Field(gt=1, le=256)
-    elevation_deg: tuple[Finite, Finite]
+    elevation_deg: tuple[Number, Number]
     n_azimuths: int = Field(gt=0, le=10_000)
     range_min: Positive
     range_max: Positive
@@ -185,7 +190,7 @@ class RobotSpec(Settings):
 
     name: str
     height: Positive
-    footprint: list[tuple[Finite, Finite]] = Field(min_length=3, max_length=100)
+    footprint: list[tuple[Number, Number]] = Field(min_length=3, max_length=100)
     axle_height: Positive = 0.010
     """Height of base_link over base_footprint (the TurtleBot3 URDFs' own choice)."""
     limits: Limits

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from turtlebag.datasets.settings import Finite, Positive, Settings
 from turtlebag.sim.meshes import load_mesh
@@ -15,6 +15,15 @@ from turtlebag.sim.plans import WALL_M, load_plan
 from turtlebag.sim.shapes import Solid, box, cylinder, mesh, prism
 
 MOST_SHAPES = 20_000
+
+
+def _upwards(z: tuple[float, float]) -> tuple[float, float]:
+    if not z[0] < z[1]:
+        raise ValueError(f"the bottom {z[0]:g} is not below the top {z[1]:g}")
+    return z
+
+
+Heights = Annotated[tuple[Finite, Finite], AfterValidator(_upwards)]
 Unknown = Literal["solid", "free"]
 Point = tuple[Finite, Finite]
 Points = Annotated[list[Point], Field(max_length=1000)]
@@ -28,7 +37,7 @@ class _AnyShapeSpec(Settings):
 
 
 class _ShapeSpec(_AnyShapeSpec):
-    z: tuple[Finite, Finite]
+    z: Heights
 
 
 class BoxSpec(_ShapeSpec):
@@ -91,7 +100,7 @@ class MapSpec(Settings):
     name: str = "map"
     file: str
     unknown: Unknown = "solid"
-    z: tuple[Finite, Finite] = (0.0, WALL_M)
+    z: Heights = (0.0, WALL_M)
     when: dict[str, str] = Field({})
 
     def solid(self, folder: Path) -> Solid:
@@ -106,7 +115,7 @@ class MoverSpec(Settings):
     """A box or a cylinder that moves: its section, and a path or an area to wander in."""
 
     name: str = ""
-    z: tuple[Finite, Finite] = (0.0, 1.0)
+    z: Heights = (0.0, 1.0)
     size: tuple[Positive, Positive] | None = None
     radius: Positive | None = None
     path: Points = Field(min_length=1)

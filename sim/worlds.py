@@ -197,9 +197,12 @@ def _start_of(path: Path, grid: OccupancyGrid) -> SE2 | None:
 def _spawn(path: Path, value: str) -> SE2 | None:
     """The pose that `spawn=x/y/yaw` says; None where it is not given."""
     try:
-        return SE2.from_xyt(*decimals(value.split("/"))) if value else None
+        spawn = SE2.from_xyt(*decimals(value.split("/"))) if value else None
     except (TypeError, ValueError):
         raise InputError(f"{path}: spawn={value}: expected x/y/yaw") from None
+    if spawn is not None and not np.isfinite(spawn.xyt).all():
+        raise InputError(f"{path}: spawn={value}: must be three finite numbers")
+    return spawn
 
 
 def _mappable(bounds: tuple[float, float, float, float], where: str) -> tuple[float, float, float, float]:

@@ -123,6 +123,27 @@ def test_commands_are_looked_for_where_they_stand():
         check_verb(["map", "BAG", "--ot", "DIR"])
 
 
+TRANSLATED = ("README", "docs/tutorial")
+
+
+@pytest.mark.parametrize("name", TRANSLATED)
+def test_a_translation_has_the_commands_of_its_page(name):
+    """To the letter, but for comments: what runs those of the page runs its own."""
+    page, translation = (ROOT / f"{place}.md" for place in (name, f"docs/zh/{Path(name).name}"))
+    blocks, own = (code_of(one.read_text()) for one in (page, translation))
+    assert own
+    if name == "README":  # the start of it
+        blocks = [one for one in blocks if one in own]
+    assert own == blocks
+
+
+def code_of(text):
+    """The blocks of a page, without comments, and the commands in its lines."""
+    blocks = [(kind, re.sub(r" +# .*", "", block)) for kind, block in BLOCK.findall(text)]
+    inline = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", BLOCK.sub("", text))]
+    return [*blocks, *(("", code) for code in inline if code.startswith(("turtlebag ", "--", "map --")))]
+
+
 READERS = {
     "map.yaml": lambda path: load_model(MapYaml, path),
     "trajectory.tum": load_tum,

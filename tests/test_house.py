@@ -22,7 +22,7 @@ FLOORS = (
     ("sensors",),
     ("loops",),
     ("grid", "sessions"),
-    ("check",),
+    ("check", "walls"),
     ("mapper",),
     ("online", "session_file", "explain"),
 )

@@ -104,6 +104,17 @@ def bag(folder):
     return scene
 
 
+def walls(folder):
+    """A wall is drawn between two pillars of that map, and two others are erased."""
+    scene = Scene(BagSetup(folder / "mapping/bags/bag_1", LOOPS), folder / "walls")
+    scene.do("map_build")
+    scene.do("wall_draw", points=[[-0.9, -1.1], [-0.2, -1.1]])
+    for x in (0.0, 1.1):
+        scene.do("wall_erase", points=[[x, 0.0]], width=0.5)
+    scene.do("seek", t=0.0)
+    return scene
+
+
 def find_browser():
     """Path of a Chromium, from TURTLEBAG_CHROMIUM or the search path."""
     known = [os.environ.get("TURTLEBAG_CHROMIUM"), *map(shutil.which, BROWSERS)]
@@ -151,6 +162,7 @@ def main(out):
             ("pose", lambda: wrong_pose(folder, true_map)),
             ("patrol", lambda: patrol(folder, true_map)),
             ("bag", lambda: bag(folder)),
+            ("walls", lambda: walls(folder)),
         ):
             picture(made(), folder / "shot.png", out / f"studio_{file}.png")
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
+    Discriminator,
     Field,
+    Tag,
     ValidationError,
     ValidatorFunctionWrapHandler,
     WrapValidator,
@@ -68,6 +70,11 @@ def _of_one_kind(data: Any, validated: ValidatorFunctionWrapHandler) -> Any:
         ) from None
 
 
+def _kind(stage: Any) -> str:
+    """Which of the two a stage is meant as: what is wrong is then said of that alone."""
+    return "line" if isinstance(stage, str) else "program"
+
+
 def _known(unit: str) -> str:
     if unit not in UNITS:
         raise ValueError(f"unit {unit}: unknown; known: {', '.join(UNITS)}")
@@ -88,7 +95,7 @@ class Result(Settings):
 
 
 class Figure(Settings):
-    """One figure: result `y` over factor `x`, intervals by bootstrap.
+    """One figure: result `y` over factor `x`, means with their intervals.
 
     One line for each level of `lines`, in one panel for each level of `panels`.
     """
@@ -107,13 +114,13 @@ class Campaign(Settings):
     `bags`: URLs of bags and logs, or of folders of them, also with *; they are the levels of the factor
     `bag`, and `{bag}` in a command is where such a bag lies. `factors`: a list of values, `{first, last}` for
     whole numbers, `{low, high}` to draw from, or named levels whose text is put into the command as several
-    words and may name other factors. `stages`: command lines without `--out`, with `{factor}` and `{stage}`
-    (an earlier stage's folder) in braces; `{factor:1-0.5*x}` is a number computed from the level x,
+    words and may name other factors and stages. `stages`: command lines without `--out`, with `{factor}` and
+    `{stage}` (an earlier stage's folder) in braces; `{factor:1-0.5*x}` is a number computed from the level x,
     `{factor:a|b|c}` the text that stands where the level stands among its factor's. A stage in `shared` is
     run once for all cases that give it the same command; one with `command`, a list of words, is somebody
-    else's program, which writes into `{out}`. `results`: name -> `stage:path` in that stage's
-    metrics.json, or `{at: stage:path, label: ..., unit: ...}`. `against`: the level that `compare`'s other
-    levels are paired with.
+    else's program, which writes into `{out}`; a word `{factor}` stands for the words of its level. `results`:
+    name -> `stage:path` in that stage's metrics.json (or its manifest), or `{at: stage:path, label: ...,
+    unit: ...}`. `against`: the level that `compare`'s other levels are paired with.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9_-]+$")]
@@ -122,7 +129,12 @@ class Campaign(Settings):
     bags: list[str] = Field([])
     factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
     sample: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = None
-    stages: dict[str, str | ProgramRequest]
+    stages: dict[
+        Annotated[str, Field(pattern=r"^[^./\x00][^/\x00]*$")],  # a folder of that name
+        Annotated[
+            Annotated[str, Tag("line")] | Annotated[ProgramRequest, Tag("program")], Discriminator(_kind)
+        ],
+    ]
     shared: list[str] = Field([])
     results: dict[str, Result]
     compare: str | None = None
@@ -161,14 +173,6 @@ class Campaign(Settings):
     def names(self) -> dict[str, tuple[str, str]]:
         """What each result is called, and its unit."""
         return {key: (item.label or key.replace("_", " "), item.unit) for key, item in self.results.items()}
-
-    def with_only(self, levels: Mapping[str, Sequence[Scalar]]) -> Campaign:
-        """The same with these levels of these factors and no others."""
-        cut: dict[str, Levels] = {}
-        for name, chosen in levels.items():
-            old = self.factors[name]
-            cut[name] = {str(x): old[str(x)] for x in chosen} if isinstance(old, dict) else list(chosen)
-        return self.model_copy(update={"factors": {**self.factors, **cut}})
 
     def chosen(self, row: Mapping[str, Any]) -> str:
         """The levels of a case by its row of the table."""
@@ -211,10 +215,12 @@ class Campaign(Settings):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a result; rename one")
 
     def _outputs_are_the_campaigns(self) -> None:
-        """No stage says where it writes to."""
+        """No stage of ours says where it writes to; a program may, and levels that are words of one."""
+        told = [stage.command for stage in self.stages.values() if not isinstance(stage, str)]
+        words = {word for command in told for word in command}
         texts = {f"stages.{stage}": line for stage, line in self.stages.items() if isinstance(line, str)}
         for name, levels in self.factors.items():
-            if isinstance(levels, dict):
+            if isinstance(levels, dict) and f"{{{name}}}" not in words:
                 texts |= {f"factors.{name}.{level}": text for level, text in levels.items()}
         for where, text in texts.items():
             if OWN_OUTPUT.search(text):

@@ -8,7 +8,7 @@ import json
 import tarfile
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -37,6 +37,10 @@ ROWS, CASES, SHARED = "rows", "cases", "shared"
 """Parts of a campaign's store: rows, files kept of each case, and of outputs that several cases use."""
 STREAMS = threading.Lock()
 """Held by the thread that the streams of this process belong to."""
+
+
+NUMBERS = ("manifest.json", "metrics.json")
+"""Where the numbers of an output stand; what both have, the metrics say."""
 
 
 class StageFailed(Exception):
@@ -96,6 +100,11 @@ def kept_at(case: Case, campaign: Campaign, maker: str, stage: str) -> str:
     if stage in campaign.shared:
         return f"{SHARED}/{recipes(case, maker)[stage][:16]}"
     return f"{CASES}/{case.name}/{stage}"
+
+
+def numbers_of(files: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """All that the files of NUMBERS have."""
+    return {key: value for content in files for key, value in content.items()}
 
 
 def made_once(store: Store, name: str, make: Callable[[], bytes]) -> bytes:
@@ -170,11 +179,17 @@ class _Work:
             raise StageFailed(f"{BAG}: {error}") from None
 
     def _packed(self, stage: str) -> bytes:
-        """The output of a shared stage, made here, as one file."""
+        """The output of a shared stage, made here, as one file; StageFailed where it cannot be unpacked."""
         self._make(stage)
-        packed = io.BytesIO()
-        with tarfile.open(fileobj=packed, mode="w") as archive:
-            archive.add(self._places[stage], ".")
+        packed, elsewhere = io.BytesIO(), str(self._folder / "unpacked")
+        try:
+            with tarfile.open(fileobj=packed, mode="w") as archive:
+                archive.add(
+                    self._places[stage], ".",
+                    filter=lambda member: tarfile.data_filter(member, elsewhere) and member,
+                )  # fmt: skip
+        except tarfile.FilterError as error:  # a program may leave links and pipes
+            raise self._failure(stage, f"cannot be shared: {error}") from None
         return packed.getvalue()
 
     def _make(self, stage: str) -> None:
@@ -212,6 +227,6 @@ class _Work:
 
 def _value(places: Mapping[str, Path], where: str) -> Any:
     stage, _, path = where.partition(":")
-    file = places[stage] / "metrics.json" if stage in places else None
-    value = lookup(read_json(file), path) if file is not None and file.is_file() else None
+    files = [places[stage] / name for name in NUMBERS] if stage in places else []
+    value = lookup(numbers_of(read_json(file) for file in files if file.is_file()), path)
     return value if isinstance(value, (bool, int, float, str)) else None

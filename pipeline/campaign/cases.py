@@ -10,7 +10,7 @@ import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from turtlebag.pipeline.campaign.campaign_file import (
     words_of,
 )
 from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
 
@@ -111,11 +112,12 @@ def _drawn(campaign: Campaign, factors: Mapping[str, Levels]) -> Iterator[dict[s
 
 
 class LevelText(str):
-    """A level as it stands in a command.
+    """The text of a level as it stands in a command.
 
     `{level:A+B*x}` puts in a linear function of it instead, `{level:a|b|c}` the text of its place.
     """
 
+    level: Scalar
     levels: Levels
 
     def __format__(self, spec: str) -> str:
@@ -124,9 +126,9 @@ class LevelText(str):
         if "|" in spec:
             texts = spec.split("|")
             known = [str(level) for level in levels_of(self.levels)]
-            place = known.index(self) if known else 0
+            place = known.index(str(self.level)) if known else 0
             if place >= len(texts):
-                raise ValueError(f"'{spec}' has no text for level {self} (number {place + 1})")
+                raise ValueError(f"'{spec}' has no text for level {self.level} (number {place + 1})")
             return texts[place]
         found = LINEAR.fullmatch(spec)
         if found is None:
@@ -136,40 +138,56 @@ class LevelText(str):
         return f"{value:.6g}"
 
 
-def _text(level: Scalar, levels: Levels) -> LevelText:
-    text = LevelText(level)
-    text.levels = levels
-    return text
+def _text(text: object, level: Scalar, levels: Levels) -> LevelText:
+    found = LevelText(text)
+    found.level, found.levels = level, levels
+    return found
 
 
 def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str, read: Reader) -> Case:
-    texts: dict[str, str] = {name: _text(chosen[name], levels) for name, levels in campaign.factors.items()}
+    texts: dict[str, str] = {
+        name: _text(chosen[name], chosen[name], levels) for name, levels in campaign.factors.items()
+    }
     # Where the bag and the folders of earlier stages lie is known to who runs them: they stay in braces.
     places = {BAG: f"{{{BAG}}}"} if BAG in chosen else {}
+    later = {name: f"{{{name}}}" for name in (OUT, *campaign.stages)}
     for name, levels in campaign.factors.items():
         if isinstance(levels, dict):
             others = {other: text for other, text in texts.items() if other != name}
             text = levels[str(chosen[name])]
-            texts[name] = _filled(text, {**others, **places}, f"{name}.{chosen[name]}")
+            known = {**later, **others, **places}
+            texts[name] = _text(_filled(text, known, f"{name}.{chosen[name]}"), chosen[name], levels)
     commands: dict[str, list[str]] = {}
     requests: dict[str, Request] = {}
     for stage, told in campaign.stages.items():
         where, known_there = f"stages.{stage}", {**texts, **places}
         if isinstance(told, str):
-            words = _words(_filled(told, known_there, where), stage)
+            words = _words(_filled(told, known_there, where), where)
             if words:  # a stage may have nothing to do for some levels
                 commands[stage], requests[stage] = words, _request(stage, words, read)
         else:
-            program = told.moved(partial(_in_program, values={**known_there, OUT: f"{{{OUT}}}"}, where=where))
+            program = _program(told, campaign, texts, {**known_there, OUT: f"{{{OUT}}}"}, where)
             commands[stage], requests[stage] = words_of(program), program
+        named = {name for word in commands.get(stage, ()) for name in PLACE.findall(word)}
+        for name in named & set(later) - set(places) - {OUT}:  # by the text of a level
+            raise InputError(f"{where}: {{{name}}} is not an earlier stage")
         places[stage] = f"{{{stage}}}"
     known = [chosen, commands, *([bag_version] if bag_version else [])]
     digest = hashlib.sha256(json.dumps(known).encode()).hexdigest()
     return Case(digest[:16], chosen, commands, requests, bag_version)
 
 
-def _in_program(text: str | Path, values: dict[str, Any], where: str) -> str | Path:
-    return type(text)(_filled(str(text), values, where))
+def _program(
+    told: ProgramRequest, campaign: Campaign, texts: Mapping[str, str], values: dict[str, Any], where: str
+) -> ProgramRequest:
+    """A program's request for a case; a word that is a factor alone stands for the words of its level."""
+
+    def filled(text: str | Path) -> str | Path:
+        return type(text)(_filled(str(text), values, where))
+
+    whole = {f"{{{name}}}": name for name, levels in campaign.factors.items() if isinstance(levels, dict)}
+    words = [_words(texts[whole[word]], where) if word in whole else [filled(word)] for word in told.command]
+    return told.moved(filled).model_copy(update={"command": tuple(itertools.chain.from_iterable(words))})
 
 
 def _request(stage: str, words: Sequence[str], read: Reader) -> Request:
@@ -182,11 +200,11 @@ def _request(stage: str, words: Sequence[str], read: Reader) -> Request:
         raise InputError(f"stages.{stage}: {error}") from None
 
 
-def _words(text: str, stage: str) -> list[str]:
+def _words(text: str, where: str) -> list[str]:
     try:
         return shlex.split(text)
     except ValueError as error:
-        raise InputError(f"stages.{stage}: `{text.strip()}`: {str(error).lower()}") from None
+        raise InputError(f"{where}: `{text.strip()}`: {str(error).lower()}") from None
 
 
 def _filled(line: str, values: dict[str, Any], where: str) -> str:

@@ -36,12 +36,11 @@ def draw_figures(campaign: Campaign, rows: Sequence[Row], album: Album) -> None:
         caption = f"{label} over {words(wish.x)}{each}."
         caption = caption[0].upper() + caption[1:]
         name = f"{number:02d}-{slug(wish.y)}-over-{slug(wish.x)}"
-        drawn = (rows, wish, label, unit, campaign.seed)
-        album.add(name, wish.title or label, caption, result_over_factor, *drawn)
+        album.add(name, wish.title or label, caption, result_over_factor, rows, wish, label, unit)
 
 
-def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str, seed: int) -> Figure:
-    """Median (or share) with its interval at each level; single cases as faint dots. The result is called
+def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str) -> Figure:
+    """Mean (or share) with its interval at each level; single cases as faint dots. The result is called
     `label`, its unit is `stored`; all panels have one scale."""
     share = is_share(rows, wish.y)
     unit, panels = UNITS["percent" if share else stored], wish.panels
@@ -52,7 +51,7 @@ def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str,
     grid = figure.subplots(lanes, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, group in zip(grid, groups, strict=False):
         chosen = [row for row in rows if panels is None or row[panels] == group]
-        _draw_lines(axes, chosen, wish, unit.factor, seed)
+        _draw_lines(axes, chosen, wish, unit.factor)
         if group is not None:
             axes.set_title(words(group), fontsize="small")
     for axes in grid[len(groups) :]:
@@ -84,7 +83,7 @@ def words(level: Any) -> str:
     return str(level).replace("_", " ")
 
 
-def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float, seed: int) -> None:
+def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float) -> None:
     """All lines of one panel."""
     share, levels = is_share(rows, wish.y), levels_of(rows, wish.x)
     numeric = all(isinstance(level, (int, float)) and not isinstance(level, bool) for level in levels)
@@ -99,7 +98,7 @@ def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float, seed
         for index, level in enumerate(levels):
             here = [row for row in chosen if row[wish.x] == level]
             place = float(level) + shift if numeric else index + shift
-            found.append((place, interval(here, wish.y, seed, f"{wish.x}={level} {label}")))
+            found.append((place, interval(here, wish.y)))
             if not share:
                 values = [factor * row[wish.y] for row in here if isinstance(row[wish.y], (int, float))]
                 at = np.full(len(values), place)
@@ -124,11 +123,16 @@ def _draw_line(
     label: str | None,
     style: str,
 ) -> None:
-    """The medians with their intervals, at places along the x axis."""
+    """The means with their intervals, at places along the x axis; no bar where there is no interval."""
     known = [
-        (place, value.value, value.low, value.high)
-        for place, value in found
-        if value.value is not None and value.low is not None and value.high is not None
+        (
+            place,
+            one.value,
+            one.value if one.low is None else one.low,
+            one.value if one.high is None else one.high,
+        )
+        for place, one in found
+        if one.value is not None
     ]
     if not known:
         return

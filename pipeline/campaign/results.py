@@ -15,7 +15,7 @@ from typing import Any
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
-from turtlebag.pipeline.campaign.case import Row, Where, kept_at
+from turtlebag.pipeline.campaign.case import NUMBERS, Row, Where, kept_at, numbers_of
 from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.campaign.figures import draw_figures, words
 from turtlebag.pipeline.campaign.statistics import PairedSummary, compare_pairs, levels_of, summarise
@@ -54,10 +54,11 @@ def absent_results(campaign: Campaign, todo: Sequence[Case], rows: Sequence[Row]
 
 
 def _kept_metrics(case: Case, campaign: Campaign, where: Where, stage: str) -> dict[str, Any]:
-    content = None
-    if stage in case.commands:
-        content = where.runs.read(f"{kept_at(case, campaign, where.maker, stage)}/metrics.json")
-    return {} if content is None else json.loads(content)
+    if stage not in case.commands:
+        return {}
+    place = kept_at(case, campaign, where.maker, stage)
+    contents = [where.runs.read(f"{place}/{name}") for name in NUMBERS]
+    return numbers_of(json.loads(content) for content in contents if content is not None)
 
 
 def _paths(metrics: Mapping[str, Any], before: str = "") -> Iterator[str]:
@@ -77,13 +78,11 @@ def write_results(
     few = [name for name in campaign.factor_names if len(levels_of(rows, name)) <= MANY]
     write_table(rows, _partition(campaign, few), runs)
     results = list(campaign.results)
-    summaries = {
-        factor: summarise(rows, factor, results, campaign.seed) for factor in few if factor != "seed"
-    }
+    summaries = {factor: summarise(rows, factor, results) for factor in few if factor != "seed"}
     pairs = []
     if campaign.compare is not None and campaign.against is not None:
         others = [factor for factor in campaign.factor_names if factor != campaign.compare]
-        pairs = compare_pairs(rows, campaign.compare, campaign.against, others, results, campaign.seed)
+        pairs = compare_pairs(rows, campaign.compare, campaign.against, others, results)
     write_json(
         folder / "summary.json",
         {

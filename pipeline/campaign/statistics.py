@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from turtlebag.datasets.seeds import stream
-from turtlebag.reports.metrics.statistics import Interval, Paired, median_interval, paired, share_interval
+from turtlebag.reports.metrics.statistics import Interval, mean_interval, share_interval
 
 Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class LevelSummary:
-    """One result at one level of a factor; `kind` is median, or share for yes-or-no results."""
+    """One result at one level of a factor; `kind` is mean, or share for yes-or-no results."""
 
     level: Any
     result: str
@@ -27,16 +26,18 @@ class LevelSummary:
 
 @dataclass(frozen=True)
 class PairedSummary:
-    """One result at one level, minus the same at the level it is compared with."""
+    """One result at one level, minus the same at the level it is compared with: the mean difference, and the
+    share of pairs in which it is less."""
 
     level: Any
     result: str
-    found: Paired
+    difference: Interval
+    less: float | None
 
     @property
     def differs(self) -> bool:
         """Whether the interval of the difference leaves out 0."""
-        low, high = self.found.difference.low, self.found.difference.high
+        low, high = self.difference.low, self.difference.high
         return low is not None and high is not None and (low > 0.0 or high < 0.0)
 
 
@@ -51,32 +52,32 @@ def is_share(rows: Sequence[Row], result: str) -> bool:
     return bool(values) and all(isinstance(value, bool) for value in values)
 
 
-def interval(rows: Sequence[Row], result: str, seed: int, name: str) -> Interval:
-    """Median or share of a result over rows; a failed case has no median and counts as no success."""
+def interval(rows: Sequence[Row], result: str) -> Interval:
+    """Mean or share of a result over rows; a failed case is in no mean and counts as no success."""
     if is_share(rows, result):
         return share_interval(sum(row[result] is True for row in rows), len(rows))
-    values = np.array(
-        [row[result] for row in rows if isinstance(row[result], (int, float))], dtype=np.float64
-    )
-    return median_interval(values, stream(seed, f"bootstrap {name} {result}"))
+    return mean_interval(_finite([row[result] for row in rows if isinstance(row[result], (int, float))]))
 
 
-def summarise(rows: Sequence[Row], factor: str, results: Sequence[str], seed: int) -> list[LevelSummary]:
+def _finite(values: Sequence[float]) -> np.ndarray:
+    found = np.array(values, dtype=np.float64)
+    return found[np.isfinite(found)]
+
+
+def summarise(rows: Sequence[Row], factor: str, results: Sequence[str]) -> list[LevelSummary]:
     """Every result at every level of the factor."""
     found = []
     for result in results:
-        kind = "share" if is_share(rows, result) else "median"
+        kind = "share" if is_share(rows, result) else "mean"
         for level in levels_of(rows, factor):
             chosen = [row for row in rows if row[factor] == level]
             failed = sum(bool(row["failed"]) for row in chosen)
-            found.append(
-                LevelSummary(level, result, kind, interval(chosen, result, seed, f"{factor}={level}"), failed)
-            )
+            found.append(LevelSummary(level, result, kind, interval(chosen, result), failed))
     return found
 
 
 def compare_pairs(
-    rows: Sequence[Row], factor: str, against: Any, others: Sequence[str], results: Sequence[str], seed: int
+    rows: Sequence[Row], factor: str, against: Any, others: Sequence[str], results: Sequence[str]
 ) -> list[PairedSummary]:
     """Each level minus `against`, over cases that agree in all the other factors."""
     found = []
@@ -84,8 +85,10 @@ def compare_pairs(
         by_level = {level: _keyed(rows, factor, level, others, result) for level in levels_of(rows, factor)}
         for level, values in by_level.items():
             if level != against:
-                rng = stream(seed, f"bootstrap pairs {factor}={level} {result}")
-                found.append(PairedSummary(level, result, paired(by_level.get(against, {}), values, rng)))
+                base = by_level.get(against, {})
+                differences = _finite([values[key] - base[key] for key in base if key in values])
+                less = float(np.mean(differences < 0.0)) if len(differences) else None
+                found.append(PairedSummary(level, result, mean_interval(differences), less))
     return found
 
 

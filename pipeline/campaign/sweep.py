@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
@@ -19,7 +21,7 @@ from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.outputs import Output, Stopwatch, package_versions, sha256_tree
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.campaign.campaign_file import Campaign, Scalar, campaign_path, load_campaign
+from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
 from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
 from turtlebag.pipeline.campaign.cases import Case, Reader, cases
 from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
@@ -27,6 +29,7 @@ from turtlebag.pipeline.campaign.results import absent_results, write_results
 from turtlebag.pipeline.campaign.store import UNFINISHED, Store, or_else
 from turtlebag.pipeline.campaign.worst import worst_case
 from turtlebag.pipeline.stages.command_line import read
+from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.run import run
 from turtlebag.pipeline.terminal.messages import log, track
 
@@ -37,11 +40,41 @@ OUTPUTS = "outputs"
 """Part of a store that keeps what `shared` stages made, for all campaigns of it."""
 SCRATCH = "scratch"
 """Folder in which the workers of this machine work."""
-NO_LEVELS: Mapping[str, Sequence[Scalar]] = {}
-More = Callable[[Campaign, Sequence[Case], Sequence[Row], Where, Path], None]
-"""Writes what a campaign leaves besides its own page, into the folder of that page."""
 ROOT = Path(__file__).parents[2]
 MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A campaign by the name it was asked for, its cases, and the files that they read."""
+
+    name: str
+    campaign: Campaign
+    cases: Sequence[Case]
+    inputs: Mapping[str, Path]
+
+
+@dataclass(frozen=True)
+class Hands:
+    """What runs the cases: each stage by `run`, on a Dask scheduler or on processes of this machine."""
+
+    run: Run = run
+    scheduler: str | None = None
+    workers: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """The rows of a campaign, how long each took [s], and a line for each result that none of them has."""
+
+    rows: Sequence[Row]
+    timing: Mapping[str, float]
+    absent: Sequence[str]
+
+    @property
+    def failed(self) -> int:
+        """How many cases failed."""
+        return sum(bool(row["failed"]) for row in self.rows)
 
 
 def sweep(
@@ -54,19 +87,36 @@ def sweep(
     scheduler: str | None = None,
     workers: int | None = None,
     allow_commands: bool = False,
-    only: Mapping[str, Sequence[Scalar]] = NO_LEVELS,
-    more: More | None = None,
 ) -> int:
     """Run what is left of a campaign, each stage by `run`, and write its results to `out`; 1 when any case
     failed, or a result is in none of them.
 
-    `allow_commands`: also stages that run somebody else's program. `only`: these levels of these factors.
-    `more` writes into the same folder what the rows are good for besides.
+    `allow_commands`: also stages that run somebody else's program.
     Of the command lines in the file `read` makes the requests, of all before any case runs. Workers keep what
     they make in `store`, which is `out` itself where no URL is given. It grows in `OUT.partial` and stays
     there when it is stopped: the same command goes on with it.
     """
-    campaign = load_campaign(campaign_name).with_only(only)
+    plan = planned(campaign_name, read, allow_commands=allow_commands)
+    require_scheduler(scheduler)
+    with lock_output(out.folder, force=out.force) as lock:
+        lock.spare()
+        lock.watch(plan.inputs.values())
+        where = _where(plan, store, lock.partial, scheduler)
+        found = finished(plan, where, lock.partial, Hands(run, scheduler, workers), force=out.force)
+        tidy(lock.partial)
+        extra = {"case_wall_s": found.timing, **({} if store is None else {"store": where.runs.url})}
+        text, seed = config_text(plan.campaign), plan.campaign.seed
+        out.finish(lock.partial, "sweep", plan.inputs, config=text, seed=seed, extra=extra)
+        lock.finish()
+    log.info(f"{out.folder}: {counted(len(found.rows), 'case')}, {found.failed} failed")
+    for line in found.absent:
+        log.error(f"{campaign_name}: {line}")
+    return int(found.failed > 0 or bool(found.absent))
+
+
+def planned(campaign_name: str, read: Reader = read, *, allow_commands: bool = False) -> Plan:
+    """A campaign and its cases; InputError for one that cannot be run, or whose programs are not allowed."""
+    campaign = load_campaign(campaign_name)
     for stage, command in campaign.programs.items():
         if not allow_commands:
             raise InputError(f"{campaign_name}: stages.{stage} runs `{command}`; --allow-commands allows it")
@@ -74,60 +124,66 @@ def sweep(
         todo = cases(campaign, read)
     except InputError as error:
         raise InputError(f"{campaign_name}: {error}") from None
-    require_scheduler(scheduler)
-    with lock_output(out.folder, force=out.force) as lock:
-        lock.spare()
-        inputs = _inputs(campaign_name, todo)
-        lock.watch(inputs.values())
-        where = _where(campaign, store, lock.partial, inputs, scheduler)
-        _begin(where, campaign, force=out.force)
-        scratch = lock.partial / SCRATCH
+    return Plan(campaign_name, campaign, todo, _inputs(campaign_name, todo))
 
-        def start(left: Sequence[Case]) -> Iterator[Done]:
-            return run_cases(campaign, left, where, run, scratch, scheduler=scheduler, workers=workers)
 
-        rows, timing = _run(campaign, todo, where, start)
-        source = Path(campaign_name).name
-        worst = worst_case(campaign, todo, rows, where)
-        write_results(campaign, source, rows, where.runs, lock.partial, worst)
-        if more is not None:
-            more(campaign, todo, rows, where, lock.partial)
-        absent = absent_results(campaign, todo, rows, where)
-        _tidy(Store(str(lock.partial)))
-        extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}
-        text = config_text(campaign)
-        out.finish(lock.partial, "sweep", inputs, config=text, seed=campaign.seed, extra=extra)
-        lock.finish()
-    failed = sum(bool(row["failed"]) for row in rows)
-    log.info(f"{out.folder}: {counted(len(rows), 'case')}, {failed} failed")
-    for line in absent:
-        log.error(f"{campaign_name}: {line}")
-    return int(failed > 0 or bool(absent))
+def finished(plan: Plan, where: Where, folder: Path, hands: Hands, *, force: bool) -> Swept:
+    """Run what is left of a campaign, and write its table, figures and page into `folder`."""
+    campaign, todo = plan.campaign, plan.cases
+    _begin(where, campaign, force=force)
+
+    def start(left: Sequence[Case]) -> Iterator[Done]:
+        at, workers = hands.scheduler, hands.workers
+        return run_cases(campaign, left, where, hands.run, folder / SCRATCH, scheduler=at, workers=workers)
+
+    rows, timing = _run(campaign, todo, where, start)
+    worst = worst_case(campaign, todo, rows, where)
+    write_results(campaign, Path(plan.name).name, rows, where.runs, folder, worst)
+    return Swept(rows, timing, absent_results(campaign, todo, rows, where))
+
+
+def tidy(folder: Path) -> None:
+    """What only a campaign that still runs needs goes."""
+    place = Store(str(folder))
+    place.delete(MARK)
+    for part in (ROWS, OUTPUTS, SCRATCH, UNFINISHED):
+        place.delete_below(part)
 
 
 def _inputs(campaign_name: str, todo: Sequence[Case]) -> dict[str, Path]:
-    """The campaign file, and every file and folder of outputs that a stage's command names."""
+    """The campaign file, every file and folder of outputs that a stage's command names, and what programs are
+    measured by."""
     words = {word for case in todo for line in case.commands.values() for word in line}
     values = {word.partition("=")[2] if word.startswith("--") else word for word in words}
     named = {word: Path(word.partition("+clutter:")[0].partition(":")[0]) for word in values}
+    # A program's word may be a script, longer than any name: for os.path that is no file.
     files = {
-        str(path): path for path in named.values() if path.is_file() or (path / "manifest.json").is_file()
+        str(path): path
+        for path in named.values()
+        if os.path.isfile(path) or os.path.isfile(path / "manifest.json")
     }
+    programs = [
+        request for case in todo for request in case.requests.values() if isinstance(request, ProgramRequest)
+    ]
+    files |= {str(path): path for request in programs for path in request.files()}
     return {"campaign": campaign_path(campaign_name), **dict(sorted(files.items()))}
 
 
-def _where(
-    campaign: Campaign, store: str | None, folder: Path, inputs: Mapping[str, Path], scheduler: str | None
-) -> Where:
-    read = {name: sha256_tree(path) for name, path in inputs.items() if name != "campaign"}
-    maker = fingerprint([surroundings(), read])
+def _where(plan: Plan, store: str | None, folder: Path, scheduler: str | None) -> Where:
+    maker = maker_of(plan.inputs)
     if store is None:
         runs = Store(str(folder.absolute()))
         return Where(runs, runs.below(OUTPUTS), maker)
     whole = Store(store)
     if "memory" in whole.files.protocol and scheduler is None:
         raise InputError(f"--store {store}: only this process sees it; add --scheduler {THREADS}")
-    return Where(whole.below(campaign.name), whole.below(OUTPUTS), maker)
+    return Where(whole.below(plan.campaign.name), whole.below(OUTPUTS), maker)
+
+
+def maker_of(inputs: Mapping[str, Path]) -> str:
+    """Fingerprint of all that shapes an output besides its command, of a campaign that reads these files."""
+    read = {name: sha256_tree(path) for name, path in inputs.items() if name != "campaign"}
+    return fingerprint([surroundings(), read])
 
 
 def _begin(where: Where, campaign: Campaign, *, force: bool) -> None:
@@ -230,10 +286,3 @@ def _interleaved(left: Sequence[Case], campaign: Campaign) -> list[Case]:
         ranked.append((rank[first], case))
         rank[first] += 1
     return [case for _, case in sorted(ranked, key=itemgetter(0))]
-
-
-def _tidy(folder: Store) -> None:
-    """What only the running campaign needed goes."""
-    folder.delete(MARK)
-    for part in (ROWS, OUTPUTS, SCRATCH, UNFINISHED):
-        folder.delete_below(part)

@@ -17,7 +17,8 @@ SUBMITTED = "turtlebag board submit poses.tum --input house-realistic-1 --out da
 def add_arguments(parser: Parser) -> None:
     """Arguments of the command, and of its action."""
     parser.add_output(required=False)
-    parser.flag("--quick", "one drive only")
+    text = "make rows only of inputs whose names fit, such as 'arena-*' or 'barn-*-1' (default: all)"
+    parser.option("--inputs", "PATTERN", text, default="*", dest="pattern")
     parser.option("--workers", "N", "local processes (default: one per core)", count)
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     text = "score poses of yours against the truth of an input, which is made again for it"
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("board: --out DIR is needed")
     from turtlebag.pipeline.board.board import PAGE, board
 
-    code = board(output(args), quick=args.quick, workers=args.workers)
+    code = board(output(args), inputs=args.pattern, workers=args.workers)
     say(str(args.out / PAGE))
     return code
 

@@ -45,12 +45,13 @@ def report(checks: Mapping[str, Callable[[], str]], *, whole: bool = WHOLE) -> i
 
 
 def _hint(error: Exception) -> str:
-    """Advice on a missing package or shared library."""
-    if isinstance(error, ModuleNotFoundError):
+    """Advice on a missing package or shared library; what a line is made of may be another error."""
+    if isinstance(error.__context__ or error, ModuleNotFoundError):
         return f" -> {INSTALL}"
     message = str(error)
     packages = {"libGL.so": "libgl1", "libEGL": "libegl1", "libX11": "libx11-6", "libudev": "libudev1"}
-    packages |= {"libgomp": "libgomp1", "GLIBC": "(a newer system: glibc 2.35 or later)"}
+    packages |= {"libgomp": "libgomp1", "libusb": "libusb-1.0-0"}
+    packages |= {"GLIBC": "(a newer system: glibc 2.35 or later)"}
     found = [package for part, package in packages.items() if part in message]
     return f" -> on Debian: apt install {found[0]}" if found else ""
 

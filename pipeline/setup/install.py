@@ -44,7 +44,7 @@ def install(environment: Path, project: Path, handle: int) -> None:
     for path in () if found else environment.iterdir():
         shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
     (environment / LOG).write_text("")
-    settings = _settings_of_pip()
+    settings = settings_of_pip()
     index = urlsplit(settings.get("UV_DEFAULT_INDEX") or "https://pypi.org/simple")
     mirror = index._replace(netloc=index.netloc.rpartition("@")[2]).geturl()  # without a password
     python, lock = str(environment / "bin/python"), project / "requirements.lock"
@@ -112,7 +112,7 @@ def put_on_path(environment: Path, project: Path) -> None:
         (packages / "turtlebag.pth").write_text(f"{link.parent}\n")
 
 
-def _settings_of_pip() -> dict[str, str]:
+def settings_of_pip() -> dict[str, str]:
     """pip's settings as uv's variables, its environment before its files; uv's own variables stay."""
     asked = [sys.executable, "-m", "pip", "config", "list"]
     said = subprocess.run(asked, capture_output=True, text=True, check=False).stdout

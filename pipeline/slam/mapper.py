@@ -31,10 +31,9 @@ from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.closure import close_graph, look_again
 from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
-from turtlebag.pipeline.slam.odometry.follow import follow
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
-from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, step_constraints
+from turtlebag.pipeline.slam.odometry.tracker import follow
 from turtlebag.pipeline.slam.progress import Progress, no_progress
 from turtlebag.pipeline.slam.scans.clouds import KeyScans
 from turtlebag.pipeline.slam.scans.scans import Scans
@@ -42,6 +41,7 @@ from turtlebag.pipeline.slam.sensors.corrected import corrected, with_sensors
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration, range_errors
 from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup, sensor_setup
 from turtlebag.pipeline.slam.sessions import Session, join
+from turtlebag.pipeline.slam.walls import with_walls
 
 # Settings that the front end does not read; a change of any other one starts it anew.
 LATER = {"back_end", "loops", "place_recognition", "refine", "grid"}
@@ -171,11 +171,11 @@ def run_slam(
 
     `more` are later recordings of the same place: each is located in the map so far and joins the graph;
     the trajectory holds the scans of all, in that order. InputError if one cannot be located. `edits` are
-    loops in `recording` that the user rejected or added.
+    loops that the user rejected or added, and walls drawn or erased, by the numbers of the scans there.
     """
-    edits.require_scans(len(recording), recording.source)
+    edits.require_scans(sum(map(len, (recording, *more))), recording.source)
     session = solve_graph(track_recording(recording, config, progress), config, edits, progress)
-    return draw_map(join_later(session, more, config, edits, progress), config)
+    return draw_map(join_later(session, more, config, edits, progress), config, edits)
 
 
 def continue_slam(
@@ -183,9 +183,12 @@ def continue_slam(
     more: Sequence[Recording],
     config: SlamConfig,
     progress: Progress = no_progress,
+    *,
+    edits: Edits = Edits(),  # noqa: B008 (frozen)
 ) -> SlamResult:
     """As `run_slam`, but from the finished session of an earlier map instead of its recording."""
-    return draw_map(join_later(session, more, config, Edits(), progress), config)
+    edits.require_scans(sum(map(len, (session.recording, *more))), session.recording.source)
+    return draw_map(join_later(session, more, config, edits, progress), config, edits)
 
 
 def track_recording(recording: Recording, config: SlamConfig, progress: Progress) -> Session:
@@ -272,7 +275,8 @@ def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Pr
     overlapping key scans refined together, again as long as that brings further loops within reach."""
     config, keys = config.effective(), session.track.keys
     scans, graph, back_end = session.key_scans, session.graph, make_back_end(config.back_end)
-    by_hand, refined = KeyEdits.of(edits, keys), config.refine.rounds > 0 and len(keys) > 2
+    by_hand = KeyEdits.of(edits, keys, len(session.recording))
+    refined = config.refine.rounds > 0 and len(keys) > 2
     loops = config.loops if refined else config.loops.model_copy(update={"held_m": 0.0})
     closing, closed = LoopClosing(loops, by_hand, back_end), loops.enabled and len(keys) > 2
     if closed:
@@ -303,8 +307,8 @@ def join_later(
     return session
 
 
-def draw_map(session: Session, config: SlamConfig) -> SlamResult:
-    """The map of a session: a pose for every scan, the grid, and its check."""
+def draw_map(session: Session, config: SlamConfig, edits: Edits) -> SlamResult:
+    """The map of a session: a pose for every scan, the grid with the walls of the edits, and its check."""
     log, track, graph = session.recording, session.track, session.graph
     torn = np.concatenate([session.breaks.gaps, session.evidence.jumps(track.T_track_base)])
     poses = carried_poses(track.T_track_base, track.keys, graph.T_map_keys, torn)
@@ -314,4 +318,5 @@ def draw_map(session: Session, config: SlamConfig) -> SlamResult:
     check = check_map(session, poses, drawn.certainty, uncertainty)
     covariance = scan_covariances(uncertainty, track, poses, log.stamps_ns)
     trajectory = Trajectory(log.stamps_ns, poses)
-    return SlamResult(trajectory, covariance, drawn.grid, drawn.confidence, check, session)
+    grid, confidence = with_walls(drawn.grid, drawn.confidence, edits.walls, poses)
+    return SlamResult(trajectory, covariance, grid, confidence, check, session)

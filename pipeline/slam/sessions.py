@@ -18,8 +18,7 @@ from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.loops.submaps import windows
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks, joined_breaks
 from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
-from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, step_constraints
 from turtlebag.pipeline.slam.scans.clouds import PER_POINT, Clouds, KeyScans
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sensors.setup_estimate import SensorSetup

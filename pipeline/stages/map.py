@@ -116,12 +116,12 @@ def map_scans(
 ) -> Mapped:
     """Map planar scans, all of them or joined to an earlier map."""
     if earlier is not None:
-        result = continue_slam(earlier, recordings, config, track)
+        result = continue_slam(earlier, recordings, config, track, edits=edits)
     else:
         result = run_slam(recordings[0], config, track, more=recordings[1:], edits=edits)
-        for asked, loop in zip(edits.add, result.loops, strict=False):
-            if not loop.accepted:
-                log.warning(f"--edits: scan {asked.scan} at scan {asked.place}: not joined: {loop.verdict}")
+    for asked, loop in zip(edits.add, result.loops, strict=False):
+        if not loop.accepted:
+            log.warning(f"--edits: scan {asked.scan} at scan {asked.place}: not joined: {loop.verdict}")
     recording = result.session.recording
     read = {note for one in recordings for note in one.notes}
     log_notes(note for note in recording.notes if note not in read)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Required, TypedDict, get_args
 
 import numpy as np
-from pydantic import ValidationError
 
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.outputs import Output, Stopwatch
@@ -21,7 +20,7 @@ from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import path_clearance, sample_footprint
 from turtlebag.planners.global_plan import plan_path
-from turtlebag.planners.ompl_planner import OmplConfig, PlannerName
+from turtlebag.planners.ompl_planner import PlannerName, ompl_loads
 from turtlebag.planners.planner import NoPath, Plan, PlanConfig
 from turtlebag.sim.robots import RobotSpec
 
@@ -113,23 +112,24 @@ def plan(
 
 
 def planner_settings(name: str | None) -> dict[str, str]:
-    """What the option --planner stands for: one of OMPL's, or a class of the user's."""
+    """What the option --planner stands for: one of OMPL's, the lattice, or a class of the user's."""
     if name is None:
         return {}
-    return {"plan.planner": name} if is_own(name) else {"plan.planner": "ompl", "plan.ompl.planner": name}
+    if name in get_args(PlannerName):
+        return {"plan.planner": "ompl", "plan.ompl.planner": name}
+    return {"plan.planner": name}
 
 
 def planners_to_compare(config: PlanStageConfig) -> list[PlanStageConfig]:
-    """The same settings with every planner that the space allows, the chosen one among them."""
-    out = [config] if is_own(config.plan.planner) else []
-    for planner in get_args(PlannerName):
-        try:
-            ompl = OmplConfig.model_validate({**config.plan.ompl.model_dump(), "planner": planner})
-        except ValidationError:
-            continue  # this planner cannot work in this space
-        plan = config.plan.model_copy(update={"planner": "ompl", "ompl": ompl})
-        out.append(config.model_copy(update={"plan": plan}))
-    return out
+    """The same settings with every planner that is here, the chosen one among them."""
+    plans = [config.plan] if is_own(config.plan.planner) else []
+    if ompl_loads():
+        ompl = [config.plan.ompl.model_copy(update={"planner": name}) for name in get_args(PlannerName)]
+        plans += [config.plan.model_copy(update={"planner": "ompl", "ompl": one}) for one in ompl]
+    else:
+        log.info("the planners of OMPL are left out, which is not here")
+    plans.append(config.plan.model_copy(update={"planner": "lattice"}))
+    return [config.model_copy(update={"plan": plan}) for plan in plans]
 
 
 def _line(metrics: PlanMetrics, seconds: float) -> str:

@@ -22,6 +22,8 @@ from turtlebag.reports.metrics.trajectory import trajectory_metrics
 
 LOG = "program.log"
 """What the program said, in its output folder."""
+MEMORY_UNITS = 2**20 if sys.platform == "darwin" else 2**10
+"""In a megabyte: the system counts memory in kilobytes, that of a Mac in bytes."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +91,12 @@ def _effort(words: list[str], log: Path, limit_s: float) -> Effort:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-        code, error, cpu_s, memory_kb = json.loads(told.read_text())
+        if not told.is_file():
+            raise InputError(f"{words[0]}: was killed, with the process that measures it")
+        code, error, cpu_s, memory = json.loads(told.read_text())
     if error is not None:
         raise InputError(f"{words[0]}: cannot be started ({error})")
     if code != 0:
         lines = log.read_text(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
         raise InputError(f"{words[0]}: exit code {code}: {lines[0]}")
-    return Effort(round(watch.seconds(), 3), round(cpu_s, 3), round(memory_kb / 1024.0, 1))
+    return Effort(round(watch.seconds(), 3), round(cpu_s, 3), round(memory / MEMORY_UNITS, 1))

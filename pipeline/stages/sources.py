@@ -40,17 +40,13 @@ class MapInputs:
     """What a map is made of. `also` are later recordings of the same place, joined into one graph.
 
     `continued` is the folder of an earlier map, whose graph they join without it being made again. `edits` is
-    a file of loops that a person rejected or added.
+    a file of loops and walls that a person rejected or added.
     """
 
     source: Source
     also: Sequence[Path] = ()
     continued: Path | None = None
     edits: Path | None = None
-
-    def __post_init__(self) -> None:
-        if self.edits is not None and (self.also or self.continued is not None):
-            raise InputError("--edits: refers to the scans of one log; leave out --also and --continue")
 
     def later(self) -> Iterator[Recording]:
         """The recordings that are joined to the first."""

@@ -41,13 +41,14 @@ class Drive(Settings):
 class Plain(Settings):
     """An input without other fields.
 
-    `map_build` maps the whole bag as `turtlebag map` does, `edits_clear` drops its loop edits, `wiggle` turns
-    back and forth until the particles converge, `reset` restarts the session and keeps what was saved.
+    `map_build` maps the whole bag as `turtlebag map` does, `edits_clear` drops all edits, `wall_undo` that of
+    the last wall, `wiggle` turns back and forth until the particles converge, `reset` restarts the session
+    and keeps what was saved.
     """
 
     do: Literal[
         "stop", "release", "record_stop", "map_start", "map_stop", "localise_global", "avoid", "explore",
-        "wiggle", "cancel", "map_build", "edits_clear", "reset", "end",
+        "wiggle", "cancel", "map_build", "wall_undo", "edits_clear", "reset", "end",
     ]  # fmt: skip
 
 
@@ -153,9 +154,17 @@ class LoopAdd(_Pair):
     pose: Pose
 
 
+class Wall(Settings):
+    """A stroke on the map of the whole bag: its corners and its width [m]."""
+
+    do: Literal["wall_draw", "wall_erase"]
+    points: Annotated[list[Point], Field(min_length=1, max_length=200)]
+    width: Annotated[float, Field(strict=True, ge=0.0, le=100.0)] = 0.0
+
+
 Input = (
     Drive | Plain | Save | Load | At | Patrol | Waypoints | WaypointsSave | DropBox | Keepout | Seek | Scans
-    | LoopAdd
+    | LoopAdd | Wall
 )  # fmt: skip
 
 

@@ -17,17 +17,18 @@ from turtlebag.datasets.durations import nanoseconds, seconds
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Recording, Scan, Stamps, Trajectory
+from turtlebag.datasets.types import Scan, Stamps, Trajectory
 from turtlebag.pipeline.slam.graph.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
 from turtlebag.pipeline.slam.mapper import run_slam
 from turtlebag.pipeline.slam.online.mapper import Mapper
 from turtlebag.pipeline.slam.online.memory import heard
 from turtlebag.pipeline.studio import inputs
+from turtlebag.pipeline.studio.drawn_map import Drawn
 from turtlebag.pipeline.studio.inputs import LONGEST_BAG_S
 from turtlebag.pipeline.studio.library import Library
-from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
+from turtlebag.pipeline.studio.loops_shown import graph_of_mapper, points_of
 from turtlebag.pipeline.studio.setup import BagSetup
-from turtlebag.pipeline.studio.view import BagMarks, Level, LoopMarks, MapLayer, View
+from turtlebag.pipeline.studio.view import BagMarks, EditMark, Level, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.visuals import Cached, EventLog, Trail
 from turtlebag.sim.robots import stamp_of
 
@@ -46,22 +47,6 @@ class Online:
     mapper: Mapper
     first: int
     waiting: Iterator[tuple[Scan, SE2 | Trajectory | None]]
-
-
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """The map on display, and the log that it was made of, its sensors corrected as far as the mapper does.
-
-    Only a map of the whole bag has a `trajectory`, `edits`, and the `motion` during sweeps.
-    """
-
-    layer: MapLayer
-    graph: ShownGraph
-    T_map_odom: SE2
-    log: Recording
-    motion: SE2 | None = None
-    trajectory: Trajectory | None = None
-    edits: Edits | None = None
 
 
 class Playhead:
@@ -115,6 +100,9 @@ class Playback:
         self._cached = Cached()
         for note in self._log.notes:
             self.say(note)
+        if setup.edits != Edits():
+            setup.edits.require_scans(len(self._log), self._log.source)
+            self._edited(setup.edits, "")
 
     @property
     def stamp_ns(self) -> int:
@@ -170,7 +158,11 @@ class Playback:
             case inputs.Save(do="map_save"):
                 return self._map_save(entry.name)
             case inputs.Plain(do="edits_clear"):
-                return self._edited(Edits(), "loop edits cleared")
+                return self._edited(Edits(), "edits cleared")
+            case inputs.Plain(do="wall_undo"):
+                return self._undo()
+            case inputs.Wall():
+                return self._wall(entry)
             case inputs.LoopAdd():
                 return self._add(entry)
             case inputs.Scans(do="loop_show"):
@@ -243,16 +235,14 @@ class Playback:
         self._trails["slam"].replace(mapper.trajectory.poses.xy)
 
     def _build(self) -> str:
-        """Map the whole bag, with the loop edits."""
+        """Map the whole bag, with the edits."""
         if self._built is not None and self._built.edits == self._edits and self._drawn is self._built:
             return "the map of the whole bag is already shown"
         try:
-            result = run_slam(self._log, self._config, self._until_interrupted, edits=self._edits)
+            result = run_slam(self._log, self._config, self._until_interrupted, edits=self._edits.loops)
         except InputError as error:
             raise InputError(str(error).removeprefix("--edits: ")) from None
-        graph = graph_of(result)
-        of, whole = result.session, (result.trajectory, self._edits)
-        built = Drawn(MapLayer(result.grid), graph, SE2.identity(), of.recording, of.motion, *whole)
+        built = Drawn.of(result, self._edits)
         self._explain(built)
         self._drawn = self._built = built
         self._online = self._loop = None
@@ -263,13 +253,13 @@ class Playback:
                 text = f"scan {added.scan} at scan {added.place}: not joined: {loop.verdict}"
                 self.say(text, "warning")
                 refused += 1
-        told = f"{result.check.verdict} map of {len(result.trajectory)} scans, {len(graph.loops)} loops"
+        told = f"{result.check.verdict} map of {len(result.trajectory)} scans, {len(built.graph.loops)} loops"
         return f"{told}; {refused} of the added loops rejected" if refused else told
 
     def _explain(self, built: Drawn) -> None:
         """Say why there are loops that the map before did without, after one was rejected."""
-        before, edits = self._built, built.edits
-        if before is None or before.edits is None or edits is None or edits.reject == before.edits.reject:
+        before = self._built
+        if before is None or built.edits.reject == before.edits.reject:
             return
         more = len(built.graph.pairs - before.graph.pairs)
         if more:
@@ -280,7 +270,7 @@ class Playback:
             )
 
     def _map_save(self, name: str) -> str:
-        """Save the map of the whole bag, built first if the loop edits have changed."""
+        """Save the map of the whole bag, built first if the edits have changed."""
         self._library.check_name(name)
         if self._built is None or self._built.edits != self._edits:
             self.say(self._build())
@@ -309,12 +299,29 @@ class Playback:
         edits = self._edits.model_copy(update={"add": (*self._edits.add, loop)})
         return self._edited(edits, f"scans {action.scan} and {action.place} are to be joined")
 
+    # Walls
+
+    def _wall(self, action: inputs.Wall) -> str:
+        if self._drawn is None:
+            raise InputError(f"{action.do}: map the whole bag first")
+        walls = (*self._edits.walls, self._drawn.wall(action))
+        line = "wall drawn" if action.do == "wall_draw" else "wall erased"
+        return self._edited(self._edits.model_copy(update={"walls": walls}), line)
+
+    def _undo(self) -> str:
+        if not self._edits.walls:
+            raise InputError("wall_undo: no wall was drawn or erased")
+        walls = self._edits.walls[:-1]
+        return self._edited(self._edits.model_copy(update={"walls": walls}), "the last wall is undone")
+
     def _edited(self, edits: Edits, line: str) -> str:
-        """Keep the loop edits, on disk at once."""
+        """Keep the edits, on disk at once; walls are shown at once, too, as they move no scan."""
+        built = self._built
         try:
             edits.require_scans(len(self._log), self._log.source)
-            if self._drawn is not None and self._drawn.trajectory is not None:
-                KeyEdits.of(edits, self._drawn.graph.keys)
+            if built is not None:
+                KeyEdits.of(edits, built.graph.keys, len(self._log))
+                built = built.with_walls(edits.walls)
         except InputError as error:
             raise InputError(str(error).removeprefix("--edits: ")) from None
         told = edits.model_dump(mode="json", exclude_defaults=True)
@@ -322,8 +329,11 @@ class Playback:
         partial = self._folder / f".{EDITS}"
         partial.write_text(text)
         partial.replace(self._folder / EDITS)
-        self._edits = edits
-        return f"{line}; map the bag again to see it"
+        moved = edits.loops != self._edits.loops
+        if self._drawn is self._built:
+            self._drawn = built
+        self._edits, self._built = edits, built
+        return f"{line}; map the bag again to see it" if moved else line
 
     # Drawing
 
@@ -358,8 +368,8 @@ class Playback:
         drawn, scan = self._drawn, self._head.scan
         if self._online is not None and len(self._online.mapper):
             return self._online.mapper.T_map_base
-        if drawn is not None and drawn.trajectory is not None and scan >= 0:
-            return drawn.trajectory.poses[scan]
+        if drawn is not None and drawn.result is not None and scan >= 0:
+            return drawn.result.trajectory.poses[scan]
         return T_odom_base if drawn is None else drawn.T_map_odom @ T_odom_base
 
     def _points(self, T_map_base: SE2) -> Array | None:
@@ -372,8 +382,9 @@ class Playback:
         return self._cached.get("scan", of, lambda: T_map_base @ points_of(log, scan, motion))
 
     def _marks(self) -> BagMarks:
-        edits = [("reject", loop.scan, loop.place) for loop in self._edits.reject]
-        edits += [("add", loop.scan, loop.place) for loop in self._edits.add]
+        edits = [EditMark("reject", loop.scan, loop.place) for loop in self._edits.reject]
+        edits += [EditMark("add", loop.scan, loop.place) for loop in self._edits.add]
+        edits += [EditMark(wall.do, wall.scan or 0) for wall in self._edits.walls]
         keys = NO_KEYS if self._drawn is None else self._drawn.graph.keys
         position_s, end_s = seconds(self._head.position_ns), seconds(self._head.end_ns)
         return BagMarks(position_s, end_s, keys, self._loop, tuple(edits))

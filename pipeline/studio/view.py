@@ -175,6 +175,14 @@ class LoopMarks(NamedTuple):
     """How the loop was found, and its residual."""
 
 
+class EditMark(NamedTuple):
+    """An edit: `reject` or `add`, of scan and place; or `draw` or `erase`, of the wall near a scan."""
+
+    kind: str
+    scan: int
+    place: int | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class BagMarks:
     """The state of a played bag."""
@@ -184,8 +192,7 @@ class BagMarks:
     keys: NDArray[np.int64]
     """The scan of each node of the graph."""
     loop: LoopMarks | None
-    edits: tuple[tuple[str, int, int], ...]
-    """`reject` or `add`, scan and place."""
+    edits: tuple[EditMark, ...]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,12 +12,8 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli import doctor
 from turtlebag.pipeline.setup.install import install, put_on_path
 
@@ -236,58 +232,6 @@ def test_a_folder_named_turtlebag_is_not_taken_for_the_package(tmp_path):
     words = [sys.executable, "-S", "-c", code]
     found = subprocess.check_output(words, cwd=tmp_path, text=True, timeout=20)
     assert Path(found.strip()).resolve() == ROOT / "pipeline/turtlebag/__init__.py"
-
-
-PLAN = "plan --map m.yaml --robot burger --start 0.5,0.5,0 --goal 1.5,1.5,0 --out path"
-MISSING = [
-    ("ompl", PLAN, "--set plan.planner=lattice"),
-    ("pydantic", "record --world empty --teleop tour --seed 1 --out path", "installs them"),
-    ("pybullet", "record --world empty --teleop tour --seed 1 --out path", "record, navigate and studio"),
-    ("pybullet", "navigate --world empty --task avoid --out path", "record, navigate and studio"),
-    ("pybullet", "studio --world empty --no-browser --out path", "record, navigate and studio"),
-]
-WITHOUT = "import sys; sys.modules['{}'] = None; from turtlebag.pipeline.__main__ import run; sys.exit(run())"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("package", "command", "remedy"), MISSING)
-def test_a_package_that_is_not_there_is_one_line(tmp_path, package, command, remedy):
-    done = run_without(package, command, tmp_path)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
-    assert line.startswith(f"turtlebag: the package {package} is missing")
-    assert remedy in line
-    assert not (tmp_path / "path").exists()
-
-
-def run_without(package, command, folder):
-    """Run a command where a package cannot be imported, beside a map of free floor, m.yaml."""
-    floor = np.zeros((40, 40), dtype=np.int8)
-    save_map(OccupancyGrid(floor, 0.05, SE2.from_xyt(0.0, 0.0, 0.0)), folder, "m")
-    return subprocess.run(
-        [sys.executable, "-c", WITHOUT.format(package), *command.split()],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-@pytest.mark.slow
-def test_the_lattice_planner_plans_without_ompl(tmp_path):
-    done = run_without("ompl", f"{PLAN} --set plan.planner=lattice", tmp_path)
-    assert done.returncode == 0, done.stderr
-    path = np.loadtxt(tmp_path / "path/path.csv", delimiter=",", skiprows=1)
-    assert len(path) > 10
-
-
-def test_doctor_says_what_is_off_where_a_platform_has_no_wheel(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    assert doctor.report({name: doctor.CHECKS[name] for name in ("python", "pybullet")}, whole=False) == 0
-    line = capsys.readouterr().out.splitlines()[1]
-    assert line.split()[:2] == ["off", "pybullet"]
-    assert "record, navigate and studio --world are off" in line
 
 
 def test_doctor_names_each_package_that_is_not_there_and_what_to_do(monkeypatch, capsys):

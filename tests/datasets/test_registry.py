@@ -2,13 +2,16 @@
 
 import re
 import shutil
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.registry import DATASETS, fetch
+from turtlebag.datasets.registry import DATASETS, fetch, local_files
 from turtlebag.pipeline.cli.main import main
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -26,7 +29,7 @@ def test_every_entry_is_complete():
         assert dataset.name == name
         assert dataset.license
         assert dataset.author
-        assert dataset.relations
+        assert bool(dataset.relations) == bool(dataset.scans)  # a log, or worlds
         for file in dataset.files:
             assert file.url.startswith("https://")
             assert re.fullmatch("[0-9a-f]{64}", file.sha256)
@@ -76,6 +79,28 @@ def test_a_failed_download_is_one_line_that_names_the_way_out(monkeypatch):
         fetch("fr079")
 
 
+@mirrored
+def test_worlds_and_their_paths_come_from_a_server_and_are_verified(tmp_path):
+    folder = tmp_path / "served"
+    (folder / "path_files").mkdir(parents=True)
+    for name in ("world_25.world", "path_25.npy"):
+        shutil.copy(SHARED / "barn" / name, folder / ("path_files" if name.endswith("npy") else "") / name)
+    names = ("world_25.world", "path_files/path_25.npy")
+    whole = DATASETS["barn"].sha256
+    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        part = {"folder": f"http://127.0.0.1:{server.server_port}", "sha256": {n: whole[n] for n in names}}
+        barn = DATASETS["barn"].model_copy(update=part)
+        found = local_files(barn)
+        assert [path.name for path in found] == ["world_25.world", "path_25.npy"]
+        (folder / "world_25.world").write_text("<sdf/>")
+        found[0].unlink()
+        with pytest.raises(InputError, match="sha256 differs"):
+            local_files(barn)
+        server.shutdown()
+
+
 def test_unknown_names_and_folders(monkeypatch, capsys):
     assert main(["data", "fetch", "mars"]) == 2
     assert "known: intel, fr079, mit-csail" in capsys.readouterr().err
@@ -89,5 +114,5 @@ def test_the_list_names_licence_and_citation(capsys):
     out = capsys.readouterr().out
     for name in DATASETS:
         assert f"{name}: " in out
-    assert out.count("CC BY 3.0") == len(DATASETS)
+    assert out.count("CC BY 3.0") + out.count("  MIT;") == len(DATASETS)
     assert "Autonomous Robots" in out

@@ -33,7 +33,15 @@ def test_a_true_map_of_an_earlier_version_has_no_circles(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["circles: [[0, 0]]", "circles: [[0, 0, -1]]", "circles: [[0, .nan, 1]]", "[", "3"]
+    "text",
+    [
+        "circles: [[0, 0]]",
+        "circles: [[0, 0, -1]]",
+        "circles: [[0, .nan, 1]]",
+        "circles: [[0, 1e300, 1]]",
+        "[",
+        "3",
+    ],
 )
 def test_a_broken_file_of_circles_is_named(text, tmp_path):
     world = load_world("turtlebot3_world")

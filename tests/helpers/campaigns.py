@@ -55,7 +55,7 @@ def fake(asked: Fake, out: Output) -> int:
         raise InputError("bad size 98")
     with out.staged() as folder:
         (folder / "big.bin").write_bytes(b"0" * 100)
-        error = 0.1 * asked.size + 0.001 * asked.seed
+        error = (0.1 + 0.001 * asked.seed) * asked.size
         out.finish(folder, "fake", {}, metrics={"error": {"rmse": error}, "good": asked.size < 3})
     return 0
 

@@ -186,7 +186,7 @@ def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map
     assert main(plan_words(true_map, tmp_path / "out", "-1.5,0.5,0", *words)) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     by_name = {entry["planner"]: entry for entry in metrics["planners"]}
-    assert set(by_name) == set(get_args(PlannerName))
+    assert set(by_name) == {*get_args(PlannerName), "lattice"}
     assert by_name["PRM"]["length_m"] == metrics["length_m"]
     folder = tmp_path / "out"
     assert (folder / "path-PRM.csv").read_text() == (folder / "path.csv").read_text()

@@ -138,8 +138,8 @@ def test_intervals_of_few_runs_hold_what_they_say():
 
 def test_numbers_that_nobody_measures_are_left_out_or_the_same(tmp_path, capsys):
     """Squares of the large ones overflow, of the small ones vanish."""
-    a = side(tmp_path / "a", (1e308, -1e308, 0.1), (0.0, 1e-170, 2e-170))
-    b = side(tmp_path / "b", (-1e308, 0.2, 0.3), (1e-170, 0.0, 3e-170))
+    a = side(tmp_path / "a", (1e308, -9e99, 0.1), (0.0, 1e-170, 2e-170))
+    b = side(tmp_path / "b", (-1e308, 0.2, 9e99), (1e-170, 0.0, 3e-170))
     assert main(["compare", str(a), str(b)]) == 0
     said = capsys.readouterr()
     assert "(1 of 3)" in said.out

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.sim.bullet import bullet
+from turtlebag.sim import bullet
 from turtlebag.sim.lidar import Lidar, LidarConfig
 from turtlebag.sim.physics import Physics, PhysicsConfig
 from turtlebag.sim.raycast import beam_rays, cast, distance_to_outlines, distance_to_point

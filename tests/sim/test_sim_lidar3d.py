@@ -11,7 +11,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.stages.record import Scene, record
-from turtlebag.sim.bullet import bullet
+from turtlebag.sim import bullet
 from turtlebag.sim.lidar import Lidar, LidarConfig
 from turtlebag.sim.lidar3d import Lidar3d
 from turtlebag.sim.movers import Mover

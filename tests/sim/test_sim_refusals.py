@@ -85,6 +85,11 @@ FILES = [
         shapes("[{kind: cylinder, center: [.nan, 0], radius: 1, z: [0, 1]}]"),
         "shapes.0.cylinder.center.0: must be a finite number",
     ),
+    (
+        "mine.yaml",
+        shapes("[{kind: cylinder, center: [2, 0], radius: 1, z: [1, 0]}]"),
+        "shapes.0.cylinder.z: the bottom 1 is not below the top 0",
+    ),
     ("w.world", sdf("<box><size>1 1</size></box>"), POSITIVE),
     ("w.world", sdf("<box><size>1 1 inf</size></box>"), POSITIVE),
     (
@@ -109,6 +114,8 @@ FILES = [
     ("robot.yaml", robot("limits", max_v=-1.0), "limits.max_v: must be greater than 0"),
     ("robot.yaml", robot("limits", max_speed=1.0), "limits.max_speed: unknown key (known: max_v, max_w"),
     ("robot.yaml", robot("lidar", rate_hz=7.0), "lidar.rate_hz: 30 must be a whole multiple of it, got 7"),
+    ("robot.yaml", robot("lidar", angle_min=1e21), "lidar.angle_min: must be less than or equal to 1000000"),
+    ("robot.yaml", robot("imu", gyro_noise=1e308), "imu.gyro_noise: must be less than or equal to 1000000"),
     ("robot.yaml", robot("parts"), "parts: must have at least 1 item"),
     (
         "script.yaml",

@@ -228,6 +228,7 @@ def test_what_is_no_world_is_refused_in_a_line(tmp_path):
     refused(f"{good}:unknown=lava", "unknown=lava: choose one of solid, free")
     refused(f"{good}:gate=open", "has no option 'gate' (it has: unknown, spawn)")
     refused(f"{good}:spawn=1/2", "spawn=1/2: expected x/y/yaw")
+    refused(f"{good}:spawn=1/nan/0", "spawn=1/nan/0: must be three finite numbers")
     (good.parent / "map.pgm").write_bytes(b"\x7fELF")
     refused(good, "not a readable image")
     huge = saved(tmp_path / "d", room(), resolution=50.0)

@@ -61,7 +61,7 @@ def test_a_loop_that_a_person_adds_wrongly_is_not_believed(usual):
 
 def test_what_is_said_of_two_scans_holds_of_those_beside_them():
     keys = np.arange(0, 400, 4)
-    edits = KeyEdits.of(Edits(reject=(RejectedLoop(scan=42, place=361),)), keys)
+    edits = KeyEdits.of(Edits(reject=(RejectedLoop(scan=42, place=361),)), keys, 400)
     assert edits.rejects(90, np.array([3, 4, 10, 16, 17])).tolist() == [False, True, True, True, False]
     assert edits.rejects(np.array([97, 10]), np.array([10, 96])).tolist() == [False, True]
 

@@ -99,13 +99,12 @@ def test_partners_are_the_nearest_by_way_and_turn_no_two_alike():
     poses = SE2(random_poses(40, 6, std=1.5))
     found = {tuple(p) for p in overlapping_pairs(poses, 2.0, 4).tolist()}
     expected = {(k, k + 1) for k in range(39)} | {(k, k + 2) for k in range(38)}
+    ahead = np.column_stack([np.cos(poses.yaw), np.sin(poses.yaw)])
     for i in range(40):
-        cost = np.linalg.norm(poses.xy - poses.xy[i], axis=1)
-        near = [k for k in range(40) if k != i and cost[k] <= 2.0]
-        near.sort(key=lambda k: cost[k] + 0.5 * abs(float(wrap(poses.yaw[k] - poses.yaw[i]))))
+        far = np.linalg.norm(np.hstack([poses.xy - poses.xy[i], 0.5 * (ahead - ahead[i])]), axis=1)
         taken = []
-        for k in near:
-            if len(taken) < 4 and all(abs(k - t) > 2 for t in taken):
+        for k in np.argsort(far):
+            if k != i and far[k] < 2.0 and len(taken) < 4 and all(abs(k - t) > 2 for t in taken):
                 taken.append(k)
         expected |= {(min(i, k), max(i, k)) for k in taken}
     assert found == expected

@@ -14,7 +14,8 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.scans.range_noise import range_noise
-from turtlebag.pipeline.slam.sensors.mounting import facing, stretches, turned_by_deg, ways_of, yaw_error_deg
+from turtlebag.pipeline.slam.sensors.mounting import facing, turned_by_deg, ways_of, yaw_error_deg
+from turtlebag.pipeline.slam.times.stretches import straight, thinned_scans
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +65,9 @@ def test_a_robot_that_winds_along_is_seen_to_go_where_its_wheels_say():
     plan.carve(0.5, 0.5, 7.5, 3.5)
     winding = np.column_stack([x, 2.0 + 0.12 * np.sin(4.0 * np.pi * x)])
     drive = Drive(v=0.18, w=2.0, dv=2.0, dw=10.0, ahead=0.06)
-    recording = make_log("winding", plan, winding, burger_lidar(), drive=drive).recording
+    recording = thinned_scans(make_log("winding", plan, winding, burger_lidar(), drive=drive).recording)
     noise = range_noise(recording, recording.lidar.range_max)
-    seen, told = np.array([ways_of(recording, one, noise) for one in stretches(recording)]).T
+    seen, told = np.array([ways_of(recording, one, noise) for one in straight(recording)]).T
     assert np.quantile(np.abs(np.angle(told / seen, deg=True)), 0.9) < 3.0
 
 

@@ -17,8 +17,7 @@ from turtlebag.datasets.threads import WORTH_IT, in_parts
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
-from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig, step_constraints
 from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.scans.clouds import make_clouds, point_information
 from turtlebag.pipeline.slam.scans.open3d_icp import POINT_SIGMA_M, match_points

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.known_logs import integrate
 from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.uncertainty import Uncertainty, shared_errors
 from turtlebag.pipeline.slam.check.verdict import check_map, slides
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind
@@ -16,8 +16,7 @@ from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.evidence import evidence_of
-from turtlebag.pipeline.slam.odometry.steps import step_constraints
-from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig
+from turtlebag.pipeline.slam.odometry.track import OdometryNoise, Track, TrackingConfig, step_constraints
 from turtlebag.pipeline.slam.scans.clouds import Clouds, KeyScans, make_clouds
 from turtlebag.pipeline.slam.sensors.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Session
@@ -88,8 +87,8 @@ def test_scans_that_fit_nothing_are_counted(drive):
     assert reasons(drive, overlap=overlap) == ("20 scans do not fit the map (first: scan 20)",)
     overlap[21:] = 1.0
     assert reasons(drive, overlap=overlap) == ()
-    overlap[30:35] = 0.05
-    assert reasons(drive, overlap=overlap) == ("6 scans do not fit the map (first: scan 20)",)
+    overlap[30:36] = 0.05
+    assert reasons(drive, overlap=overlap) == ("7 scans do not fit the map (first: scan 20)",)
 
 
 def test_scans_without_surfaces_are_counted(drive):
@@ -183,17 +182,17 @@ def test_a_path_that_slides_sideways_is_told_unless_the_robot_can(long_drive, le
     assert not len(slides(replace(strafing, T_odom_base=None), slid, NONE))
 
 
-@pytest.mark.parametrize(("jumped", "mapped", "told"), [(1.0, 1.0, [30]), (0.0, 1.0, []), (1.0, 0.0, [])])
-def test_a_path_slides_while_no_scan_comes_only_if_odometry_that_came_does(long_drive, jumped, mapped, told):
-    """Odometry that jumped aside in four seconds without a scan was believed: 1.5 m off, and called good."""
-    log, straight = long_drive[0], SE2(np.linspace([0.0, 0.0, 0.0], [50.0, 0.0, 0.0], 500))
-    keep = np.r_[0:30, 50:500]
-    odometry = Trajectory(log.stamps_ns, sliding(straight, [40], jumped))
-    gap = replace(log, stamps_ns=log.stamps_ns[keep], T_odom_base=odometry.poses[keep], odometry=odometry)
-    poses = sliding(straight, [40], mapped)[keep]
-    assert slides(gap, poses, NONE).tolist()[:1] == told
-    assert slides(gap, poses, np.array([30])).tolist() == []
-    assert slides(replace(gap, odometry=None), poses, NONE).tolist() == []
+@pytest.mark.parametrize("factor", [0.4, 1.0, 2.5])
+@pytest.mark.parametrize(("aside", "told"), [(0.04, False), (0.06, True)])
+def test_how_far_a_path_slides_counts_by_the_way_driven_whatever_the_clock_says(
+    long_drive, aside, told, factor
+):
+    """MIT CSAIL with a centimetre of noise was doubted: 0.32 m aside on a metre driven in a turn."""
+    straight = SE2(np.linspace([0.0, 0.0, 0.0], [50.0, 0.0, 0.0], 500))
+    stamps_ns = (factor * long_drive[0].stamps_ns).astype(np.int64)
+    log = replace(long_drive[0], stamps_ns=stamps_ns, T_odom_base=straight)
+    slid = sliding(straight, range(200, 210), aside)
+    assert bool(len(slides(log, slid, NONE))) is told
 
 
 def missed(reasons):

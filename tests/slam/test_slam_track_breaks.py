@@ -173,18 +173,25 @@ def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, mov
     assert judged(log, blind).broken.sum() == broken
 
 
-@pytest.mark.parametrize("period_s", [0.1, 2.1])
-def test_a_gap_is_many_usual_periods_long_however_slow_the_lidar(period_s):
+@pytest.mark.parametrize("factor", [0.4, 2.5, 10.5])
+def test_a_slower_clock_changes_neither_track_nor_breaks(factor):
+    """A log of a scan each 2.1 s was all gaps."""
     truth = around_the_room(60)
     log = recording(ROOM, truth, odometry=drifted(truth))
-    steps = np.full(59, period_s)
-    log = replace(log, stamps_ns=nanoseconds(np.append(0.0, np.cumsum(steps))))
-    usual = track_log(Scans.of(log, 30.0), TrackingConfig(), Lines)
-    quick = replace(log, stamps_ns=nanoseconds(0.1 * np.arange(60.0)))
-    same = track_log(Scans.of(quick, 30.0), TrackingConfig(), Lines)
-    assert np.array_equal(usual.T_track_base.xyt, same.T_track_base.xyt)
-    assert without_gap(steps).all()
-    steps[30] = 10.0 * max(period_s, 0.3)
-    assert np.flatnonzero(~without_gap(steps)).tolist() == [30]
-    stamps_ns = nanoseconds(np.append(0.0, np.cumsum(steps)))
-    assert gaps_between(stamps_ns, np.ones(60, dtype=bool)).tolist() == [[30, 31]]
+    waits = np.full(59, 0.2)
+    waits[30] = 3.0
+    found = []
+    for by in (1.0, factor):
+        timed = replace(log, stamps_ns=nanoseconds(np.append(0.0, np.cumsum(by * waits))))
+        track = track_log(Scans.of(timed, 30.0), TrackingConfig(), Lines)
+        found.append((track.T_track_base.xyt, judged(timed, track).gaps))
+        assert np.flatnonzero(~without_gap(by * waits)).tolist() == [30]
+        assert gaps_between(timed.stamps_ns, np.ones(60, dtype=bool)).tolist() == [[30, 31]]
+    assert all(np.array_equal(*both) for both in zip(*found, strict=True))
+
+
+def test_scans_that_come_in_bursts_leave_no_gaps():
+    waits = np.tile([0.1] * 9 + [1.1], 20)
+    assert without_gap(waits).all()
+    waits[77] = 3.0
+    assert np.flatnonzero(~without_gap(waits)).tolist() == [77]

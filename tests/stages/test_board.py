@@ -1,5 +1,6 @@
 """The board: its lines, its inputs, and somebody's result measured."""
 
+import csv
 import json
 
 import pytest
@@ -8,34 +9,30 @@ import yaml
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.board.board import QUICK, Run, lines_of
-from turtlebag.pipeline.board.inputs import HASHES, absent_logs, drives, find_drive
+from turtlebag.pipeline.board.board import Chapter, Run, lines_of
+from turtlebag.pipeline.board.inputs import CHAPTERS, HASHES, drives, find_drive
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
 from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.cli.main import main
 from turtlebag.reports.page import fill
 
 ROW = {"case": "a", "world": "arena", "sensors": "realistic", "system": "ours", "failed": False, "error": ""}
+SPACE = "\N{NARROW NO-BREAK SPACE}"
 
 
-def test_every_input_has_a_stated_hash_and_no_hash_is_left_over():
-    campaign = load_campaign("board")
-    found = drives(campaign, cases(campaign))
+def test_every_drive_has_a_stated_hash_and_no_hash_is_left_over():
+    found = {}
+    for chapter, name in CHAPTERS.items():
+        campaign = load_campaign(name)
+        found |= drives(chapter, campaign, cases(campaign))
     assert {name: drive.sha256 for name, drive in found.items()} == yaml.safe_load(HASHES.read_text())
     assert find_drive("house-realistic-2").command == (
         "turtlebag record --world turtlebot3_house --teleop tour --seed 2"
     )
-    assert len(cases(campaign)) == len(found) * 4
+    assert "--world office:3" in find_drive("office-faulty-3").command
 
 
-def test_the_quick_board_is_one_drive_of_the_whole_one():
-    campaign = load_campaign("board")
-    quick = cases(campaign.with_only(QUICK))
-    assert {case.name for case in quick} < {case.name for case in cases(campaign)}
-    assert list(drives(campaign, quick)) == ["arena-realistic-1"]
-
-
-def test_a_line_has_the_median_and_the_worst_and_counts_failures():
+def test_a_line_has_the_median_and_the_range_and_counts_failures():
     campaign = load_campaign("board")
     nothing = dict.fromkeys(campaign.results)
     rows = [
@@ -45,33 +42,44 @@ def test_a_line_has_the_median_and_the_worst_and_counts_failures():
     rows.append({**ROW, **nothing, "seed": 0, "system": "wheels", "ate_aligned_m": 0.5})
     ours, wheels = lines_of(campaign, rows)
     assert (ours.kind, ours.system, ours.runs, ours.failed) == ("arena, realistic", "ours", 4, 1)
-    assert ours.numbers["ate_aligned_m"] == (0.02, 0.03)
-    assert ours.numbers["wall_m"] == (None, None)
-    assert wheels.numbers["ate_aligned_m"] == (0.5, 0.5)
-
-
-def test_the_page_says_why_a_row_failed_and_how_to_make_it_again():
-    campaign = load_campaign("board").with_only(QUICK)
-    nothing = dict.fromkeys(campaign.results)
-    row = {**ROW, **nothing, "seed": 1, "failed": True, "error": "map: ran <long>"}
-    inputs = drives(campaign, cases(campaign))
-    page = fill(
-        "board.html.j2",
-        campaign=campaign,
-        sizes="1 drive, 1 row",
-        lines=lines_of(campaign, [row]),
-        runs=[Run("arena-realistic-1", "ours", ("turtlebag map x",), "", row)],
-        inputs=list(inputs.values()),
-        made={"arena-realistic-1": "0" * 64},
-        logs=absent_logs(),
-        pictures=[],
-        words=str,
+    assert ours.numbers["ate_aligned_m"] == (
+        0.02,
+        f"20.0{SPACE}mm (10.0{SPACE}mm to 30.0{SPACE}mm)",
     )
-    assert "1 drive, 1 row, 1 failed" in page
+    assert ours.numbers["wall_m"] == (None, "\N{EN DASH}")
+    assert wheels.numbers["ate_aligned_m"] == (0.5, f"500.0{SPACE}mm")
+
+
+def test_a_line_counts_those_that_say_yes():
+    campaign = load_campaign("board_barn")
+    nothing = dict.fromkeys(campaign.results)
+    row = {"case": "a", "world": 25, "sensors": "clean", "system": "ours", "failed": False, "error": ""}
+    (line,) = lines_of(
+        campaign, [{**row, **nothing, "seed": seed, "arrived": seed > 1} for seed in (1, 2, 3)]
+    )
+    assert (line.kind, line.numbers["arrived"]) == ("25, clean", (pytest.approx(2 / 3), "2 of 3"))
+
+
+def test_the_page_says_why_a_row_failed_what_is_left_out_and_how_to_make_it_again():
+    campaign = load_campaign("board")
+    row = {**ROW, **dict.fromkeys(campaign.results), "seed": 1, "failed": True, "error": "map: ran <long>"}
+    chapter = Chapter(
+        "mapping",
+        campaign,
+        lines_of(campaign, [row]),
+        [Run("arena-realistic-1", "ours", ("turtlebag map x",), "", row, "failed")],
+        [("arena-realistic-1", "yag_slam", "peer-yag-slam is not installed")],
+        [find_drive("arena-realistic-1")],
+        {"arena-realistic-1": "0" * 64},
+        [],
+    )
+    page = fill("board.html.j2", sizes="1 input, 1 row", failed=1, chapters=[chapter], words=str)
+    assert "1 input, 1 row, 1 failed" in page
     assert "map: ran &lt;long&gt;" in page
     assert "arena-realistic-1, ours: failed" in page
     assert "other bytes than stated" in page
     assert "turtlebag map x" in page
+    assert "peer-yag-slam is not installed" in page
 
 
 def test_an_unknown_input_is_told_in_one_line(tmp_path, capsys):
@@ -86,6 +94,31 @@ def test_an_unknown_input_is_told_in_one_line(tmp_path, capsys):
     assert not out.exists()
     assert main(["board"]) == 2
     assert capsys.readouterr().err.splitlines() == ["turtlebag: board: --out DIR is needed"]
+    assert main(["board", "--inputs", "attic-*", "--out", str(out)]) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "turtlebag: --inputs attic-*: fits no input; for example house-clean-1, barn-25-realistic-1"
+    ]
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_a_query_is_planned_by_every_planner_and_its_page_says_how(tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["board", "--inputs", "planning-arena-1-1", "--workers", "1", "--out", str(out)]
+    assert main(command) == 0
+    assert capsys.readouterr().out.strip() == str(out / "board.html")
+    with (out / "planning/rows.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["system"] for row in rows] == list(load_campaign("board_plan").factors["system"])
+    assert all(row["found"] == "True" and float(row["planning_s"]) > 0.0 for row in rows)
+    page = (out / "board.html").read_text()
+    assert (
+        "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out planning-arena-1-1-drive"
+        in page
+    )
+    kept = next((out / "planning/cases").glob(f"{rows[0]['case']}/plan/manifest.json"))
+    assert json.loads(kept.read_text())["outputs"]["path.csv"] in page
+    assert main(command) == 2
 
 
 @pytest.mark.slow

@@ -11,6 +11,8 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.campaign.campaign_file import load_campaign
+from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.sweep import sweep
 from turtlebag.pipeline.campaign.table import query
@@ -68,6 +70,27 @@ def test_a_program_is_measured_as_ours_is_and_so_is_what_it_takes(tmp_path, camp
     assert all(cpu > 0.0 and 1.0 < mb < 1000.0 for _, _, cpu, mb in rows)
 
 
+LEVELS = """
+name: others
+factors: {{system: {{first: "run --on {{record}} -o {{out}}", second: "{second}"}}}}
+stages:
+  record: "record --world empty"
+  slam: {{command: ["{{system}}", "--last"]}}
+results: {{cpu: "slam:cpu_s"}}
+"""
+
+
+def test_the_text_of_a_level_is_several_words_of_a_program_and_names_earlier_stages(tmp_path):
+    file = tmp_path / "others.yaml"
+    file.write_text(LEVELS.format(second="walk '{record}/a b'"))
+    first, second = (case.requests["slam"].command for case in cases(load_campaign(str(file))))
+    assert first == ("run", "--on", "{record}", "-o", "{out}", "--last")
+    assert second == ("walk", "{record}/a b", "--last")
+    file.write_text(LEVELS.format(second="walk {slam}"))
+    with pytest.raises(InputError, match=r"stages\.slam: \{slam\} is not an earlier stage"):
+        cases(load_campaign(str(file)))
+
+
 def test_a_campaign_with_a_program_is_refused_unless_that_is_allowed(tmp_path, campaign, capsys):
     assert main(["sweep", str(campaign), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip()
@@ -85,6 +108,7 @@ def test_a_campaign_with_a_program_is_refused_unless_that_is_allowed(tmp_path, c
         ("pass", "the program left no poses.tum"),
         ("import time; time.sleep(60)", "ran longer than 0.5 s"),
         ("open('{out}/poses.tum', 'w').write('1 2 3')", "poses.tum"),
+        ("import os; os.kill(0, 9)", "was killed"),
     ],
 )
 def test_a_program_that_fails_says_why_in_one_line_and_leaves_nothing(tmp_path, code, reason):
@@ -96,6 +120,33 @@ def test_a_program_that_fails_says_why_in_one_line_and_leaves_nothing(tmp_path, 
     assert reason in str(failed.value)
     assert len(str(failed.value).splitlines()) == 1
     assert not out.exists()
+
+
+SHARED = """
+name: links
+factors: {{seed: [1, 2]}}
+stages:
+  leaves: {{command: [bash, -c, "{leave}"]}}
+  looks: {{command: [ls, "{{leaves}}", "{{seed}}"]}}
+shared: [leaves]
+results: {{cpu: "looks:cpu_s"}}
+"""
+
+
+@pytest.mark.parametrize("leave", ["ln -s /etc/passwd {out}/it", "mkfifo {out}/it"])
+def test_links_and_pipes_of_a_shared_program_fail_all_its_cases_with_the_reason(tmp_path, leave):
+    (tmp_path / "links.yaml").write_text(SHARED.format(leave=leave))
+    out = Output(tmp_path / "out")
+    assert sweep(str(tmp_path / "links.yaml"), out, scheduler="threads", allow_commands=True) == 1
+    _, rows = query(Store(str(out.folder)), "SELECT error FROM runs")
+    assert len(rows) == 2
+    assert all("leaves: cannot be shared: './it' is a" in error for (error,) in rows)
+
+
+def test_a_word_of_a_program_may_be_longer_than_any_files_name(tmp_path, campaign):
+    script = "# words " * 40
+    campaign.write_text(campaign.read_text().replace('"{metres}"]', f'"{{metres}}", "{script}"]'))
+    assert sweep(str(campaign), Output(tmp_path / "out"), scheduler="threads", allow_commands=True) == 0
 
 
 def test_a_program_that_is_not_there_is_named(tmp_path):
@@ -118,3 +169,16 @@ def test_what_a_program_said_is_kept_and_its_command_recorded(tmp_path):
 def test_what_a_program_leaves_lies_in_its_folder(name):
     with pytest.raises(ValueError, match="trajectory"):
         ProgramRequest(command=("true",), trajectory=name)
+
+
+def test_a_mistake_in_a_program_is_named_by_its_key(tmp_path, campaign):
+    campaign.write_text(campaign.read_text().replace("trajectory: poses.tum", "trajectory: ../poses.tum"))
+    with pytest.raises(InputError, match=r"stages\.slam\.program\.trajectory: "):
+        load_campaign(str(campaign))
+
+
+def test_what_a_program_is_measured_by_is_an_input_of_its_campaign(tmp_path, campaign, truth):
+    out = tmp_path / "out"
+    assert sweep(str(campaign), Output(out), scheduler="threads", allow_commands=True) == 0
+    inputs = json.loads((out / "manifest.json").read_text())["inputs"]
+    assert str(truth) in inputs

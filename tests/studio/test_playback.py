@@ -13,7 +13,7 @@ from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.edits import load_edits
+from turtlebag.pipeline.slam.graph.edits import Edits, RejectedLoop, WallEdit, load_edits
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.stages.map import build_map
@@ -121,6 +121,87 @@ def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command
     for kind in ("pgm", "yaml"):
         mine, theirs = (tmp_path / "maps" / f"parted.{kind}", tmp_path / "map" / f"map.{kind}")
         assert mine.read_bytes().replace(b"parted", b"map") == theirs.read_bytes()
+
+
+@pytest.mark.slow
+def test_walls_are_drawn_and_erased_at_once_and_the_command_line_draws_the_same(bag, played, tmp_path):
+    with pytest.raises(InputError, match=r"^wall_draw: map the whole bag first$"):
+        played.apply(inputs.Wall(do="wall_draw", points=[(0.0, 0.0)]))
+    played.apply(inputs.Plain(do="map_build"))
+    bare = played.view()
+    at = bare.graph.nodes[len(bare.graph.nodes) // 2, :2]
+    ends = [(float(at[0]) - 0.3, float(at[1])), (float(at[0]) + 0.3, float(at[1]))]
+    cells = np.argwhere(bare.map.cells == 100)
+    post = bare.map.grid.center_of(cells[len(cells) // 2])
+    assert played.apply(inputs.Wall(do="wall_draw", points=ends)) == "wall drawn"
+    played.apply(inputs.Wall(do="wall_erase", points=[tuple(post.tolist())], width=0.3))
+    played.apply(inputs.Wall(do="wall_erase", points=ends, width=0.3))
+    played.apply(inputs.Plain(do="wall_undo"))
+    view = played.view()
+    assert [edit.kind for edit in view.bag.edits] == ["draw", "erase"]
+    assert view.graph is bare.graph
+    line = np.linspace(*ends, 50)
+    assert (bare.map.grid.value_at(line) == 0).all()
+    assert (view.map.grid.value_at(line) == 100).all()
+    assert view.map.grid.value_at(post) == 0
+    played.apply(inputs.Save(do="map_save", name="mended"))
+    saved = (tmp_path / "maps" / "mended.pgm").read_bytes()
+    played.apply(inputs.Plain(do="map_start"))
+    assert "good map" in played.apply(inputs.Plain(do="map_build"))
+    played.apply(inputs.Save(do="map_save", name="again"))
+    edited = MapInputs(Source(bag), edits=tmp_path / "edits.yaml")
+    assert build_map(edited, Output(tmp_path / "map")) == 0
+    for file in (tmp_path / "maps" / "again.pgm", tmp_path / "map" / "map.pgm"):
+        assert file.read_bytes() == saved
+    played.apply(inputs.Plain(do="edits_clear"))
+    assert np.array_equal(played.view().map.cells, bare.map.cells)
+    with pytest.raises(InputError, match=r"^wall_undo: no wall"):
+        played.apply(inputs.Plain(do="wall_undo"))
+
+
+@pytest.mark.slow
+def test_a_session_goes_on_with_the_edits_of_an_earlier_one(bag, tmp_path):
+    wall = WallEdit(do="draw", points=((3.0, 1.0), (3.4, 1.0)), scan=LAST, pose=(5.1, 3.0, 1.57))
+    earlier = Edits(walls=(wall,), reject=(RejectedLoop(scan=LAST, place=0),))
+    setup = BagSetup(bag, edits=earlier)
+    with studio_output(setup, Output(tmp_path / "one"), say=lambda line: None) as session:
+        assert [edit.kind for edit in session.view().bag.edits] == ["reject", "draw"]
+        session.apply(inputs.Plain(do="map_build"))
+        session.apply(inputs.Wall(do="wall_erase", points=[(3.1, 1.0)], width=0.2))
+        session.apply(inputs.Save(do="map_save", name="mended"))
+    (kept, more) = load_edits(tmp_path / "one/edits.yaml").walls
+    assert kept == wall
+    assert more.do == "erase"
+    assert replay(tmp_path / "one/session.yaml", Output(tmp_path / "two"), say=lambda line: None) == 0
+    for name in ("session.yaml", "edits.yaml", "maps/mended.pgm"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    late = Edits(walls=(wall.model_copy(update={"scan": 150}),))
+    with pytest.raises(InputError, match=r"^--edits: walls 1: .* has no scan 150"):
+        Session(BagSetup(bag, edits=late), tmp_path, lambda line: None)
+
+
+@pytest.mark.slow
+def test_a_wall_follows_its_scan_when_a_loop_is_rejected(bag, tmp_path):
+    """Without the loop nothing corrects the wheels' drift, and what was drawn at the end lies elsewhere."""
+    off = {"refine": {"rounds": 0}, "place_recognition": {"enabled": False}}
+    drifting = SlamConfig.model_validate({"front_end": "wheels", "loops": {"held_m": 0.0}, **off})
+    with Session(BagSetup(bag, drifting), tmp_path, lambda line: None) as played:
+        played.apply(inputs.Plain(do="map_build"))
+        before = played.view()
+        x, y = before.graph.nodes[-1, :2].tolist()
+        ends = [(x, y - 0.4), (x, y + 0.4)]
+        played.apply(inputs.Wall(do="wall_draw", points=ends))
+        i, j, _ = next(edge for edge in before.graph.edges.tolist() if edge[2] == 1)
+        scan, place = (int(before.bag.keys[key]) for key in (i, j))
+        played.apply(inputs.Scans(do="loop_reject", scan=scan, place=place))
+        played.apply(inputs.Plain(do="map_build"))
+        after = played.view()
+    key = int(np.searchsorted(before.bag.keys, after.bag.edits[-1].scan))
+    line = np.linspace(*ends, 50)
+    moved = SE2(after.graph.nodes[key]) @ SE2(before.graph.nodes[key]).inverse() @ line
+    assert np.linalg.norm(moved - line, axis=1).min() > 0.08
+    assert (after.map.grid.value_at(moved) == 100).all()
+    assert not (after.map.grid.value_at(line) == 100).all()
 
 
 def test_the_points_of_a_scan_lie_where_the_mapper_takes_them_to_be():

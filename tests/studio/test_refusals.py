@@ -292,5 +292,15 @@ def test_every_input_of_the_design_is_known():
         "cancel",
     }
     rest = {"record", "record_stop", "kidnap", "box", "reset", "end"}
-    bags = {"seek", "map_build", "loop_show", "loop_reject", "loop_add", "edits_clear"}
+    bags = {
+        "seek",
+        "map_build",
+        "loop_show",
+        "loop_reject",
+        "loop_add",
+        "edits_clear",
+        "wall_draw",
+        "wall_erase",
+        "wall_undo",
+    }
     assert set(KNOWN) == driving | maps | tasks | rest | bags

@@ -85,3 +85,25 @@ def test_a_loop_is_looked_at_rejected_and_made_by_hand(bag_page, playback, tmp_p
     turn = (SE2(nodes[first]).inverse() @ SE2(nodes[last])).yaw
     np.testing.assert_allclose(added.pose, [0.0, 0.0, float(turn)], atol=0.06)
     assert max(added.scan, added.place) <= LAST == len(LOG) - 1
+
+
+def test_a_wall_is_drawn_erased_and_undone_with_the_mouse(bag_page, playback, tmp_path):
+    click(bag_page, "[data-do=map_build]")
+    until(lambda: playback.view().graph is not None, 60.0)
+    until(lambda: bag_page.evaluate("import('./scene.js').then(m => m.scene.blobs.graph_keys?.length > 0)"))
+    bare = playback.view().map
+    x, y = playback.view().graph.nodes[4, :2].tolist()
+    click(bag_page, "#tools [data-tool=wall]")
+    start, end = on_screen(bag_page, [x - 0.5, y], [x + 0.5, y])
+    drag(bag_page, start, end)
+    until(lambda: playback.view().map is not bare)
+    (wall,) = load_edits(tmp_path / "edits.yaml").walls
+    np.testing.assert_allclose(wall.points, [[x - 0.5, y], [x + 0.5, y]], atol=0.05)
+    assert playback.view().map.grid.value_at(np.array([x, y])) == 100
+    click(bag_page, "#tools [data-tool=erase]")
+    drag(bag_page, *on_screen(bag_page, [x, y]))
+    until(lambda: playback.view().map.grid.value_at(np.array([x, y])) == 0)
+    until(lambda: "Walls are erased near scan" in shown_text(bag_page, "edits"))
+    click(bag_page, "#undo")
+    until(lambda: playback.view().map.grid.value_at(np.array([x, y])) == 100)
+    assert "Walls are erased" not in (tmp_path / "edits.yaml").read_text()

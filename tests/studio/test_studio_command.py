@@ -3,12 +3,15 @@
 import io
 import re
 import signal
+import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import yaml
+from tornado.httpclient import AsyncHTTPClient
 
 from tests.helpers.full_disks import files_below
 from tests.studio.fakes import connect, run
@@ -17,6 +20,8 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.studio.journal import load_session
 
 pytestmark = pytest.mark.slow
+OUTSIDE = "127.0.0.2"
+"""An address of this machine that no browser is told of."""
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}\n")
 
 
@@ -181,6 +186,42 @@ def test_without_a_screen_no_browser_is_opened_and_the_first_free_folder_is_take
     assert "--host 0.0.0.0: anyone who can reach this machine" in capsys.readouterr().err
 
 
+class FromOutside(Printed):
+    """A browser outside of a container: what it asks of the printed address arrives at another one."""
+
+    async def _end(self, url):
+        port = re.search(r":(\d+)/", url)[1]
+        there = re.sub(r"//[\d.]+:", f"//{OUTSIDE}:", url)
+        self.codes = {}
+        for host in (url.split("/")[2], f"evil.example:{port}", f"127.0.0.1:{int(port) + 1}"):
+            for address in (there, there.partition("?")[0]):
+                page = await AsyncHTTPClient().fetch(address, headers={"Host": host}, raise_error=False)
+                self.codes[host.replace(port, "PORT"), "token" in address] = page.code
+        client = await connect(there, Host=url.split("/")[2])
+        client.ask("end")
+        with pytest.raises(EOFError, match="the session has ended"):
+            await client.until(lambda p: False)
+        return url
+
+
+@pytest.mark.parametrize(("host", "shown"), [("0.0.0.0", "127.0.0.1"), (OUTSIDE, OUTSIDE)])
+def test_a_container_shows_the_studio_to_who_has_the_token_and_names_the_host(
+    host, shown, tmp_path, monkeypatch, capsys, opened
+):
+    """`docker run -p 127.0.0.1:8080:8080 turtlebag ... --host 0.0.0.0 --port 8080`, without Docker."""
+    with socket.create_server((host, 0)) as free:
+        port = free.getsockname()[1]
+    monkeypatch.setattr(sys, "stdout", printed := FromOutside())
+    words = ["--world", "empty", "--host", host, "--port", str(port), "--out", str(tmp_path / "mine"), "-q"]
+    assert main(["studio", *words]) == 0
+    (ended,) = printed.ended
+    assert re.fullmatch(rf"http://{shown}:{port}/\?token=[\w-]{{43}}", ended.result())
+    ours = printed.codes.pop((f"{shown}:PORT", True))
+    assert ours == 200
+    assert set(printed.codes.values()) == {403}
+    assert len(printed.codes) == 5
+
+
 def test_a_session_that_cannot_go_on_is_kept_beside_the_first_free_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     usual = "data/studio/empty-burger-1"
@@ -194,3 +235,26 @@ def test_a_session_that_cannot_go_on_is_kept_beside_the_first_free_folder(tmp_pa
         f"(`turtlebag studio --replay {aside}/session.yaml --out DIR` makes a finished output of it)"
     )
     assert load_session(tmp_path / aside / "session.yaml").until_ns > 2e9
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--edits edits.yaml", "--edits: edits the map of a bag; give --bag, too"),
+        (
+            "--bag edits.yaml --seed 2",
+            "--seed: cannot be used with --bag, where nothing is simulated; remove it",
+        ),
+        (
+            "--replay edits.yaml --edits edits.yaml",
+            "--edits: cannot be used with --replay, which takes it from",
+        ),
+    ],
+)
+def test_options_that_do_not_go_together_are_one_line(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("edits.yaml").write_text("version: 1\n")
+    assert main(["studio", *words.split()]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"turtlebag: {said}")
+    assert [path.name for path in tmp_path.iterdir()] == ["edits.yaml"]

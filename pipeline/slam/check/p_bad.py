@@ -12,13 +12,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 # The log odds of a map against which nothing speaks, and what a term of size 1 adds.
-BASE = -2.46
-WEIGHTS = {
-    "contradicted": 3.45, "lost": 2.58, "empty": 0.78, "broken": 2.58, "mirrored": 4.92, "moved": 3.30,
-    "merged": 4.0, "uncertain": 1.97, "thick": 3.17, "still": 1.50,
-}  # fmt: skip
+BASE = -2.41
+WEIGHTS = {"contradicted": 3.44, "scans": 0.94, "motion": 3.58, "uncertain": 1.91, "thick": 3.15}
 # Larger terms count as this one; a map is doubtful from this probability on.
-MOST, DOUBTFUL = 3.0, 0.344
+MOST, DOUBTFUL = 3.0, 0.396
 
 
 class Term(NamedTuple):
@@ -37,6 +34,11 @@ class Term(NamedTuple):
 def doublings(value: float, usual: float) -> float:
     """How often the usual value must be doubled to reach this one; 0 below it."""
     return max(math.log2(value / usual), 0.0) if value > 0.0 else 0.0
+
+
+def sizes(terms: Sequence[Term]) -> dict[str, float]:
+    """What speaks against a map, by name."""
+    return {name: round(sum(term.size for term in terms if term.name == name), 6) for name in WEIGHTS}
 
 
 def p_bad(terms: Sequence[Term]) -> float:

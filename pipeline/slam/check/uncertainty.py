@@ -21,7 +21,8 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.graph.drift import plane_motions, read_at
-from turtlebag.pipeline.slam.graph.pose_graph import marginals, positive_definite
+from turtlebag.pipeline.slam.graph.marginals import factorised, laplacian, marginals
+from turtlebag.pipeline.slam.graph.pose_graph import positive_definite
 from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.align import match_information
 
@@ -70,13 +71,7 @@ class Uncertainty:
         T_keys = T_map_keys.xyt - [*centre, 0.0]
         i, j, weights = _springs(SE2(T_keys), constraints)
         # the first key is fixed: its rows and columns are left out
-        symmetric = {"SymmetricMode": True}
-        held = _laplacian(n, i, j, weights)[3:, 3:]
-        factors = None
-        if n > 1:
-            factors = scipy.sparse.linalg.splu(
-                held, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric
-            )
+        factors = factorised(laplacian(n, i, j, weights)[3:, 3:]) if n > 1 else None
         found = cls(T_keys, centre, i, j, weights, np.zeros((n, 3, 0)), factors)
         moved = [found._moved_by(*one) for one in shared] if n > 1 else []
         return replace(found, shared=np.concatenate([found.shared, *moved], axis=2))
@@ -238,13 +233,3 @@ def _springs(
     information = positive_definite(np.array([c.information for c in constraints]).reshape(-1, 3, 3))
     back = np.linalg.inv(plane_motions(T_map_keys.xyt[j]))
     return i, j, (kept / spread)[:, None, None] * (back.transpose(0, 2, 1) @ information @ back)
-
-
-def _laplacian(n: int, i: NDArray[np.int64], j: NDArray[np.int64], weights: Array) -> scipy.sparse.csc_matrix:
-    """The information (3 n, 3 n) of a graph of n keys."""
-    blocks = [(i, i, weights), (j, j, weights), (i, j, -weights), (j, i, -weights)]
-    cell = np.arange(3)
-    rows = np.concatenate([np.repeat(3 * a[:, None] + cell, 3, axis=1).ravel() for a, _, _ in blocks])
-    columns = np.concatenate([np.tile(3 * b[:, None] + cell, 3).ravel() for _, b, _ in blocks])
-    values = np.concatenate([w.ravel() for _, _, w in blocks])
-    return scipy.sparse.csc_matrix((values, (rows, columns)), shape=(3 * n, 3 * n))

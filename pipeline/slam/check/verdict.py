@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, GAP_S, gap_s, way_and_turn
+from turtlebag.datasets.motion import FASTER, GAP_PERIODS, gap_s, way_and_turn, without_gap
 from turtlebag.datasets.plurals import counted, verb
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.check.base import Verdict
-from turtlebag.pipeline.slam.check.p_bad import Term, doublings, p_bad, reasons
+from turtlebag.pipeline.slam.check.p_bad import Term, doublings, p_bad, reasons, sizes
 from turtlebag.pipeline.slam.check.size import Size, size_of
 from turtlebag.pipeline.slam.check.uncertainty import Uncertainty
 from turtlebag.pipeline.slam.graph.constraints import Kind
@@ -28,9 +28,8 @@ from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.grid import Certainty
 from turtlebag.pipeline.slam.loops.free_space import free_space_violations, thinned, visits
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
-from turtlebag.pipeline.slam.odometry.track import AGREE_M, HYPOTHESES, Track
+from turtlebag.pipeline.slam.odometry.track import AGREE, AGREE_M, HYPOTHESES, Track
 from turtlebag.pipeline.slam.sessions import Session
-from turtlebag.pipeline.slam.times.stretches import odometry_stream, usual_period
 
 # Visits this many key scans apart are a revisit. This share of free-space violations marks a place as bad.
 APART_KEYS, BAD_SHARE = 30, 0.35
@@ -41,9 +40,7 @@ MOST_WRONG = 0.05
 USUAL_SHARE, USUAL_KEYS = 0.04, 4
 # What good maps may have: the largest standard deviation of a key scan [m], of which two are the error of a
 # bad map, and the mean robust residual of pairs, which people and rough walls double in real logs.
-# Drives shorter than this [m] tell nothing by their length.
 SURE_M, USUAL_APART = 0.10, 0.08
-LEAST_WAY_M = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +79,9 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertain
     terms = [
         *_contradicted(T_map_keys, pairs, share),
         *_scans(track),
-        *_breaks(session),
-        *_merged(session.recording),
-        *_motions(session, T_map_base),
+        *(Term("motion", 1.0, reason) for reason in _motion(session, T_map_base)),
         *_uncertain(T_map_keys.xy[asked[sigmas.argmax()]], float(sigmas.max()), session.evidence),
         *_walls(session),
-        *_way(session, T_map_base),
     ]
     return SelfCheck(
         p_bad(terms),
@@ -99,7 +93,7 @@ def check_map(session: Session, T_map_base: SE2, certainty: Certainty, uncertain
         certainty.entropy_bits,
         certainty.wall_share,
         np.column_stack([pairs, share]),
-        {term.name: round(term.size, 6) for term in terms},
+        sizes(terms),
         reasons(terms),
         size_of(session.setup),
     )
@@ -126,56 +120,34 @@ def _scans(track: Track) -> Iterator[Term]:
     lost, empty = np.flatnonzero(track.usable & ~track.fits), int(np.count_nonzero(~track.usable))
     if len(lost):
         n, does = counted(len(lost), "scan"), verb(len(lost), "does", "do")
-        yield Term("lost", len(lost) / many, f"{n} {does} not fit the map (first: scan {lost[0]})")
+        yield Term("scans", len(lost) / many, f"{n} {does} not fit the map (first: scan {lost[0]})")
     if empty:
         sees = verb(empty, "sees", "see")
-        yield Term("empty", empty / many, f"{counted(empty, 'scan')} {sees} no surface")
+        yield Term("scans", empty / many, f"{counted(empty, 'scan')} {sees} no surface")
 
 
-def _breaks(session: Session) -> Iterator[Term]:
-    """Breaks that nothing bridges, and a log that may be mirrored."""
-    breaks = session.unconfirmed
+def _motion(session: Session, T_map_base: SE2) -> Iterator[str]:
+    """Breaks that nothing bridges, a log that may be mirrored, lidars that disagree, and motions that the
+    robot cannot have made."""
+    breaks, apart_s, evidence = session.unconfirmed, session.recording.times.apart_s, session.evidence
     if len(breaks):
-        yield Term(
-            "broken",
-            1.0,
+        yield (
             f"{counted(len(breaks), 'break')} where scans are missing, or fit nothing seen before, and "
-            f"nothing confirms the odometry (first: before scan {breaks[0]}): what follows may be misplaced",
+            f"nothing confirms the odometry (first: before scan {breaks[0]}): what follows may be misplaced"
         )
     if session.recording.turned_over:
-        yield Term(
-            "mirrored",
-            1.0,
+        yield (
             "scans and odometry turn in opposite directions, and there is no gyro to decide: "
-            "if the scans are right, this map is mirrored",
+            "if the scans are right, this map is mirrored"
         )
-
-
-def _merged(recording: Recording) -> Iterator[Term]:
-    """Scans of which parts were taken at different times."""
-    if recording.times.apart_s > 0.0:
-        yield Term(
-            "merged",
-            1.0,
-            f"parts of each scan disagree about the motion by up to {recording.times.apart_s:.2f} s (two "
-            "lidars merged without synchronisation?): walls are drawn twice where the robot turns",
+    if apart_s > 0.0:
+        yield (
+            f"parts of each scan disagree about the motion by up to {apart_s:.2f} s (two lidars merged "
+            "without synchronisation?): walls are drawn twice where the robot turns"
         )
-
-
-def _motions(session: Session, T_map_base: SE2) -> Iterator[Term]:
-    """Jumps and slides that the robot cannot have made, and a clock that went back."""
-    recording, evidence = session.recording, session.evidence
-    for reason in (*_back_in_time(evidence), *_jumps(evidence, T_map_base, _steps_in_gap(recording))):
-        yield Term("moved", 1.0, reason)
-        return
-    slid = slides(recording, T_map_base, evidence.borders)
-    if len(slid):
-        yield Term(
-            "moved",
-            1.0,
-            f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): "
-            "the map may be torn there",
-        )
+    moved = _back_in_time(evidence) or _jumped(evidence, T_map_base) or _slid(session, T_map_base)
+    if moved:
+        yield moved
 
 
 def _uncertain(xy: Array, sigma: float, evidence: Evidence) -> Iterator[Term]:
@@ -205,24 +177,6 @@ def _walls(session: Session) -> Iterator[Term]:
         )
 
 
-def _way(session: Session, T_map_base: SE2) -> Iterator[Term]:
-    """Much more or less way by the odometry than by the map, or hardly any, and nothing to confirm that."""
-    by_map = float(way_and_turn(T_map_base.steps())[:, 0].sum())
-    if session.recording.T_odom_base is not None:
-        driven = float(way_and_turn(session.recording.T_odom_base.steps())[:, 0].sum())
-        if max(by_map, driven) > LEAST_WAY_M:
-            more = doublings(max(by_map, driven), 1.5 * max(min(by_map, driven), 0.1))
-            yield Term(
-                "still", more, f"the robot drove {by_map:.1f} m by the map, {driven:.1f} m by the odometry"
-            )
-    elif by_map < LEAST_WAY_M and len(T_map_base) > 1:
-        yield Term(
-            "still",
-            doublings(LEAST_WAY_M, max(by_map, 0.1)),
-            "the scans hardly change, and no odometry that is used says that the robot stood still",
-        )
-
-
 def revisits_of(T_map_keys: SE2) -> NDArray[np.int64]:
     """Pairs (n, 2) of keys that are near in place and far in time, in order."""
     pairs = visits(T_map_keys.xy)
@@ -238,60 +192,48 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * against > visits)
 
 
-def _jumps(evidence: Evidence, T_map_base: SE2, steps_in_gap: int) -> list[str]:
+def _jumped(evidence: Evidence, T_map_base: SE2) -> str | None:
     """Whether the robot moved farther than it can, from scan to scan or over a longer time."""
-    for over in (1, steps_in_gap):
+    for over in (1, GAP_PERIODS):
         jumped = evidence.jumps(T_map_base, over)
         if len(jumped):
             many, first = counted(len(jumped), "jump"), jumped[0, 1]
-            return [f"{many} farther than the robot can drive (first: to scan {first})"]
-    return []
+            return f"{many} farther than the robot can drive (first: to scan {first})"
+    return None
 
 
-def _back_in_time(evidence: Evidence) -> list[str]:
+def _back_in_time(evidence: Evidence) -> str | None:
     """Whether the clock went back within a log by more than a gap: scans and odometry may not belong to each
     other from there on. Shorter steps back are messages out of order."""
     waits = seconds(np.diff(evidence.stamps_ns))
-    back = 1 + np.flatnonzero(waits < -gap_s(waits))
-    back = np.setdiff1d(back, evidence.borders)
+    back = np.setdiff1d(1 + np.flatnonzero(waits < -gap_s(waits)), evidence.borders)
     if not len(back):
-        return []
-    return [
+        return None
+    return (
         f"the stamps go back by {-waits[back[0] - 1]:.1f} s (first: at scan {back[0]}): "
         "scans and odometry may be of different times from there on"
-    ]
+    )
 
 
-def _steps_in_gap(recording: Recording) -> int:
-    """The usual number of steps in GAP_S."""
-    return max(1, round(GAP_S / usual_period(recording)))
+def _slid(session: Session, T_map_base: SE2) -> str | None:
+    slid = slides(session.recording, T_map_base, session.evidence.borders)
+    told = "the path slides sideways as wheels cannot (first: at scan {}): the map may be torn there"
+    return told.format(slid[0]) if len(slid) else None
 
 
 def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Scans (k,) up to which the poses (n,) slid sideways, over as many steps as GAP_S usually has, farther
-    than the robot's wheels ever go by the odometry; none without odometry.
-
-    How the robot drove between scans that are far apart only odometry that came meanwhile tells.
-    """
+    """Scans (k,) up to which the poses (n,) slid sideways, over GAP_PERIODS steps, farther for the way driven
+    than the wheels ever go by the odometry; none without odometry, or across a gap."""
     if recording.T_odom_base is None:
         return np.zeros(0, dtype=np.int64)
-    stream, stamps_ns = odometry_stream(recording), recording.stamps_ns
-    slid = np.where(_together(stream.stamps_ns), _sideways(stream.poses), 0.0)
-    slid = np.interp(stamps_ns, stream.stamps_ns, np.append(0.0, np.cumsum(slid)))
-    by_odometry = np.abs(np.diff(slid))
-    aside = _sideways(T_map_base)
-    aside = np.where(_together(stamps_ns), aside, np.clip(aside, -by_odometry, by_odometry))
-    aside[borders - 1] = 0.0
-    usual = np.quantile(by_odometry, 1.0 - MOST_WRONG) if len(by_odometry) else 0.0
-    total, over = np.append(0.0, np.cumsum(aside)), _steps_in_gap(recording)
-    far = np.abs(total[over:] - total[:-over]) > AGREE_M + FASTER * over * usual
+    known, over = without_gap(seconds(np.diff(recording.stamps_ns))), GAP_PERIODS
+    known[borders - 1] = False
+    usual = np.quantile(np.abs(_sideways(recording.T_odom_base)), 1.0 - MOST_WRONG) if len(known) else 0.0
+    aside = np.where(known, _sideways(T_map_base), 0.0)
+    most = AGREE * way_and_turn(T_map_base.steps())[:, 0] + FASTER * usual
+    aside, most = (np.append(0.0, np.cumsum(steps)) for steps in (aside, most))
+    far = np.abs(aside[over:] - aside[:-over]) > AGREE_M + most[over:] - most[:-over]
     return over + np.flatnonzero(far)
-
-
-def _together(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of these stamps (n,) are followed by the next soon enough for a single arc, (n - 1,)."""
-    waits = seconds(np.diff(stamps_ns))
-    return np.asarray((waits > 0.0) & (waits < GAP_S))
 
 
 def _sideways(T_map_base: SE2) -> Array:

@@ -29,7 +29,7 @@ FLOOR = {size: WEAK * np.eye(size) for size in (3, 6)}
 NO_GAPS = np.zeros((0, 2), dtype=np.int64)
 G2O_NAME = {(3,): "SE2", (4, 4): "SE3:QUAT"}
 # g2o writes translation before rotation.
-G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
+G2O_ORDER = {"SE2": [0, 1, 2], "SE3:QUAT": [3, 4, 5, 0, 1, 2]}
 
 
 class Gtsam:
@@ -98,32 +98,6 @@ GTSAM = Gtsam()
 optimise = GTSAM.optimise
 
 
-def marginals(n: int, i: NDArray[np.int64], j: NDArray[np.int64], information: Array) -> Array:
-    """Covariances (n, 3, 3) of n vectors, the first of them fixed, whose differences, j (k,) less i (k,), are
-    known with information (k, 3, 3)."""
-    import gtsam
-
-    # in units in which the usual information is 1: a turn about the middle of a large map moves its ends far
-    units = np.median(np.diagonal(information, axis1=1, axis2=2), axis=0) ** -0.5 if len(i) else np.ones(3)
-    unit, zeros = gtsam.noiseModel.Unit.Create(3), np.zeros(3)
-    roots = np.linalg.cholesky(information * np.outer(units, units)).transpose(0, 2, 1)
-    graph, start = gtsam.GaussianFactorGraph(), gtsam.VectorValues()
-    for a, b, root in zip(i.tolist(), j.tolist(), roots, strict=True):
-        if min(a, b) > 0:
-            graph.add(gtsam.JacobianFactor(a, -root, b, root, zeros, unit))
-        else:
-            graph.add(gtsam.JacobianFactor(max(a, b), root, zeros, unit))
-    for k in range(1, n):
-        # what hardly holds a key to the others must not be lost beside the rest
-        graph.add(gtsam.JacobianFactor(k, WEAK * np.eye(3), zeros, unit))
-        start.insert(k, zeros)
-    out = np.zeros((n, 3, 3))
-    if n > 1:
-        found = gtsam.Marginals(graph, start)
-        out[1:] = [found.marginalCovariance(k) for k in range(1, n)] * np.outer(units, units)
-    return out
-
-
 def positive_definite(information: Array) -> Array:
     """Information (..., k, k) with a negligible one added, so that it has an inverse."""
     return information + FLOOR[information.shape[-1]]
@@ -153,10 +127,10 @@ def write_g2o(path: Path, T_map_keys: SE2 | SE3, constraints: Sequence[Constrain
     """The graph as g2o text (VERTEX_SE2, EDGE_SE2; VERTEX_SE3:QUAT, EDGE_SE3:QUAT), without kernels."""
     kind = G2O_NAME[T_map_keys.array.shape[1:]]
     lines = [f"VERTEX_{kind} {k} {_text(_row(T), '.9f')}" for k, T in enumerate(T_map_keys.array)]
+    rows, columns = np.array(G2O_ORDER[kind])[np.array(np.triu_indices(len(G2O_ORDER[kind])))]
     for c in constraints:
-        order = G2O_ORDER[len(c.information)]
-        upper = c.information[np.ix_(order, order)][np.triu_indices(len(order))]
-        lines.append(f"EDGE_{kind} {c.i} {c.j} {_text([*_row(c.T_i_j), *upper], '.9g')}")
+        numbers = np.concatenate([_row(c.T_i_j), c.information[rows, columns]])
+        lines.append(f"EDGE_{kind} {c.i} {c.j} {_text(numbers, '.9g')}")
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -165,8 +139,8 @@ def _row(T: Array) -> Array:
     return T if T.shape == (3,) else np.concatenate([T[:3, 3], se3.quaternions(T)])
 
 
-def _text(values: Any, digits: str) -> str:
-    return " ".join(f"{value:{digits}}" for value in np.asarray(values).tolist())
+def _text(values: Array, digits: str) -> str:
+    return " ".join(f"{value:{digits}}" for value in values.tolist())
 
 
 def noise_model(constraint: Constraint) -> Any:

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from turtlebag.datasets.bearing import bearing
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.threads import in_parts
@@ -88,22 +89,23 @@ def violation_shares(
             y = ty + s * points[r, 0] + c * points[r, 1]
             ex, ey = x - ox, y - oy
             distance = math.sqrt(ex * ex + ey * ey)
-            bin_ = int((math.atan2(ey, ex) + math.pi) * scale)
+            bin_ = int((bearing(ey, ex) + math.pi) * scale)
             half = min(6, int(wall / max(distance, wall) * scale) + 1)
-            nearest2, shortest2, seen = math.inf, math.inf, 0
-            for q in range(bin_ - half, bin_ + half + 1):
+            shortest2, seen = math.inf, 0
+            for step in range(1, 2 * half + 2):  # outwards
+                q = bin_ + (step // 2 if step % 2 else -(step // 2))
                 row = table[keys[b], q % n_bins]
                 if row < 0:
                     continue
                 dx, dy = points[row, 0] - x, points[row, 1] - y
-                nearest2 = min(nearest2, dx * dx + dy * dy)
+                if dx * dx + dy * dy < wall * wall:
+                    agreeing += 1
+                    break
                 dx, dy = points[row, 0] - ox, points[row, 1] - oy
                 shortest2 = min(shortest2, dx * dx + dy * dy)
                 seen += 1
-            if nearest2 < wall * wall:
-                agreeing += 1
-            elif seen >= 3 and shortest2 > (distance + through) ** 2:
-                violating += 1
+            else:
+                violating += seen >= 3 and shortest2 > (distance + through) ** 2
         if agreeing + violating >= 20:
             out[k] = violating / (agreeing + violating)
     return out

@@ -140,15 +140,15 @@ def fit(error: Array, jacobian: Array, information: Array, prior: Array) -> Fit:
     noise, values = USUAL_NOISE, np.zeros(len(prior))
     for _ in range(3):
         weight = joint_information(information, noise)
+        pull = jacobian.transpose(0, 2, 1) @ weight
+        of_pairs, towards = pull @ jacobian, np.einsum("nai,ni->na", pull, error)
         for _ in range(8):
-            left = error - np.einsum("nij,j->ni", jacobian, values)
+            left = error - jacobian @ values
             trust = cauchy_weight(np.einsum("ni,nij,nj->n", left, weight, left))
-            a = np.einsum("n,nia,nij,njb->ab", trust, jacobian, weight, jacobian) + prior
-            b = np.einsum("n,nia,nij,nj->a", trust, jacobian, weight, error)
-            values = np.linalg.solve(a, b)
+            a = np.tensordot(trust, of_pairs, 1) + prior
+            values = np.linalg.solve(a, trust @ towards)
         noise = noise_left(left, information)
-    scores = np.einsum("n,nia,nij,nj->na", trust, jacobian, weight, left)
-    return Fit(values, np.linalg.inv(a), noise, trust, scores)
+    return Fit(values, np.linalg.inv(a), noise, trust, trust[:, None] * np.einsum("nai,ni->na", pull, left))
 
 
 def joint_information(information: Array, noise: Array) -> Array:

@@ -9,16 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
+from turtlebag.datasets.motion import fastest, way_and_turn
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
-from turtlebag.pipeline.slam.odometry.trust import RECENT, distrusted_steps
+from turtlebag.pipeline.slam.odometry.trust import distrusted_steps
 
 NO_BORDERS = np.zeros(0, dtype=np.int64)
 
@@ -87,7 +86,6 @@ def evidence_of(
     later logs."""
     unseen = blind(track.information)
     doubted = _distrusted(recording, track, unseen, noise, borders)
-    unknown = unseen & (doubted | _implausible(recording, track, unseen))
     return Evidence(
         recording.stamps_ns,
         track.usable,
@@ -95,7 +93,7 @@ def evidence_of(
         recording.T_odom_base,
         track.calibration,
         doubted,
-        _way(recording, track) * unknown,
+        _way(recording, track) * (unseen & doubted),
         borders,
     )
 
@@ -120,29 +118,6 @@ def _distrusted(
             steps, poses[scans], seen, ~unseen[scans], new, (noise.floor, noise.share)
         )
     return doubted
-
-
-def _implausible(recording: Recording, track: Track, unseen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """At which `unseen` scans (n,) the odometry says what no scan ever confirmed, (n,).
-
-    It is faster than the robot ever drove by the scans; or it reverses at once, its speed changing by more
-    than that, and then the whole unobserved stretch is implausible.
-    """
-    implausible, steps = np.zeros(len(unseen), dtype=bool), track.T_track_base.steps()
-    seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
-    waits = seconds(np.diff(recording.stamps_ns))
-    usual = np.median(np.abs(waits)) if seen.any() else 0.0
-    if usual == 0.0:  # no step was seen, or most scans have the stamp of the one before: no speed is known
-        return implausible
-    waits = np.maximum(waits, usual)
-    # over several steps: odometry that was delayed for a moment is fast in the next step
-    moved = scipy.ndimage.uniform_filter1d([way_and_turn(steps)[:, 0], steps[:, 0], waits], RECENT, axis=1)
-    speed, ahead = moved[:2] / moved[2]
-    top = FASTER * np.quantile(speed[seen], NEARLY_ALWAYS)
-    implausible[1:] = unseen[1:] & (speed > top)
-    reversals = RECENT // 2 + 1 + np.flatnonzero(np.abs(ahead[RECENT:] - ahead[:-RECENT]) > top)
-    stretches, _ = scipy.ndimage.label(unseen)
-    return np.asarray(implausible | np.isin(stretches, stretches[reversals[unseen[reversals]]]))
 
 
 def _way(recording: Recording, track: Track) -> Array:

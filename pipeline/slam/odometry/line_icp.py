@@ -20,7 +20,7 @@ from turtlebag.datasets.motion import ANY_ROBOT
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.pipeline.slam.odometry.front_end import Placed
 from turtlebag.pipeline.slam.odometry.kiss import KissIcp
-from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, confirms
+from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, STEADY_SHARE, confirms
 from turtlebag.pipeline.slam.odometry.tracker import Tracker
 from turtlebag.pipeline.slam.odometry.trust import OdometryTrust
 from turtlebag.pipeline.slam.scans.align import Alignment, Prior, align
@@ -30,8 +30,6 @@ from turtlebag.pipeline.slam.scans.correspondences import Limits
 STANDSTILL = HYPOTHESES.index("standstill")
 # Gauss-Newton steps from one start.
 ITERATIONS = 10
-# Without odometry a constant velocity is predicted, with this share of an odometry step's information.
-STEADY_SHARE = 0.05
 # For this many scans after a gap the motion across it is uncertain.
 DOUBTED_SCANS = 12
 # A scan fits if its cost exceeds the usual cost by no more than this; the usual cost starts at this value and

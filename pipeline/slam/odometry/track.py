@@ -1,4 +1,5 @@
-"""The track, the front end's result: a pose and a quality for every scan. Also the tracking settings."""
+"""The track, the front end's result: a pose and a quality for every scan, and the constraints of its steps.
+Also the tracking settings."""
 
 from __future__ import annotations
 
@@ -10,13 +11,16 @@ from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.datasets.settings import Settings
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.pose_graph import WEAK
-from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, Calibration
-from turtlebag.pipeline.slam.scans.align import possible
+from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, Calibration, baselines
+from turtlebag.pipeline.slam.scans.align import match_information, possible
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery", "standstill")
 # How far scans and odometry may differ about a motion [m]; [rad], and as a share of the motion.
 AGREE_M, AGREE = 0.3, 0.15
+# Without odometry a constant velocity is predicted, with this share of an odometry step's information.
+STEADY_SHARE = 0.05
 # A scan is blind if its information along one direction is at most this share of that along the other.
 BLIND = 0.01
 
@@ -83,3 +87,34 @@ def confirms(odometry: Array, motion: Array) -> bool:
     return bool(
         np.hypot(apart[0], apart[1]) < AGREE_M + AGREE * distance and abs(apart[2]) < AGREE + AGREE * turn
     )
+
+
+def step_constraints(
+    track: Track, config: TrackingConfig, distrusted: NDArray[np.bool_] | None = None
+) -> list[Constraint]:
+    """Constraints between successive key scans, from the scans and from the calibrated odometry.
+
+    In a direction that scans cannot observe, only the odometry constrains; where both observe, the scans
+    dominate. Without odometry, or where it was distrusted since the last key (`distrusted`, (n,)), the front
+    end's own motion is used with a weak information.
+    """
+    T = track.T_track_base[track.keys]
+    if distrusted is None:
+        distrusted = np.zeros(len(track.T_track_base), dtype=bool)
+    so_far = np.cumsum(distrusted)[track.keys]
+    matched = T.steps()
+    constraints = []
+    for k, step in enumerate(matched):
+        seen = match_information(track.information[track.keys[k + 1]])
+        constraints.append(Constraint(k, k + 1, step, seen, Kind.STEP))
+        if track.odometry_steps is None or so_far[k + 1] > so_far[k]:
+            # the front end assumed a constant velocity there; without any constraint the graph falls apart
+            steady = STEADY_SHARE * config.odometry.information(step)
+            constraints.append(Constraint(k, k + 1, step, steady, Kind.STEADY))
+        else:
+            odometry = track.odometry_steps[k]
+            # wheels that stand still or spin are no better than the longer way that either saw
+            longer = max(odometry, step, key=baselines)
+            information = track.calibration.information(longer)
+            constraints.append(Constraint(k, k + 1, odometry, information, Kind.WHEELS, Constraint.CAUCHY))
+    return constraints

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
-from turtlebag.datasets.motion import gap_s
+from turtlebag.datasets.motion import GAP_PERIODS, gap_s, sweep_motion_by_track, sweeps
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import Calibration, calibrate
+from turtlebag.pipeline.slam.odometry.evidence import Evidence, evidence_of
 from turtlebag.pipeline.slam.odometry.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.progress import Progress, no_progress
@@ -67,7 +68,9 @@ class Tracker:
             self.velocity = self._velocity(wait_s)
         before, self.scan = self.scan, self.scan + 1
         self._waits_s.append(wait_s)
-        self.after_gap = abs(wait_s) > gap_s(np.array(self._waits_s))
+        # no need to look closely at every wait: it is hardly ever ten of the shortest
+        long = abs(wait_s) > GAP_PERIODS * min(self._waits_s)
+        self.after_gap = long and abs(wait_s) > gap_s(np.array(self._waits_s))
         step = None if self.odometry is None else self.odometry_since(before)
         last_key, moved = self._last_key(), True
         if self._front_end is None or last_key is None:
@@ -195,3 +198,23 @@ def track_log(scans: Scans, config: TrackingConfig, make: Maker, progress: Progr
         tracker.step(waits_s[step - 1])
     tracker.calibrate()
     return tracker.track()
+
+
+def follow(
+    scans: Scans, config: TrackingConfig, make: Maker, progress: Progress
+) -> tuple[Scans, Track, Evidence]:
+    """The scans with the motion during their sweeps, the front end's track, and the evidence for its steps.
+
+    Where neither trusted odometry nor anything else gives the motion during a sweep, the scans do, once they
+    are placed; then they are followed once more.
+    """
+    track, recording, motion = track_log(scans, config, make, progress), scans.recording, scans.motion
+    evidence = evidence_of(recording, track, config.odometry)
+    unknown = evidence.distrusted | (motion is None)
+    if not sweeps(recording) or len(scans) < 2 or not unknown.any():
+        return scans, track, evidence
+    by_track = sweep_motion_by_track(recording, track.T_track_base)
+    known = (by_track if motion is None else motion).xyt
+    scans = replace(scans, motion=SE2(np.where(unknown[:, None, None], by_track.xyt, known)))
+    track = track_log(scans, config, make, progress)
+    return scans, track, evidence_of(recording, track, config.odometry)

@@ -26,7 +26,7 @@ from turtlebag.pipeline.slam.graph.refinement import refine
 from turtlebag.pipeline.slam.grid import make_grid
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.odometry.front_ends import front_end_maker
-from turtlebag.pipeline.slam.odometry.steps import step_constraints
+from turtlebag.pipeline.slam.odometry.track import step_constraints
 from turtlebag.pipeline.slam.odometry.tracker import FIELD_KEYS, Tracker
 from turtlebag.pipeline.slam.online.loops import GrowingLoops
 from turtlebag.pipeline.slam.online.memory import Columns, GrowingLog, GrowingScans

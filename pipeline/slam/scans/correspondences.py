@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from turtlebag.datasets.bearing import bearing
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.point_to_line import Jacobian, linearise
 from turtlebag.datasets.se2 import Array
@@ -71,17 +72,14 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
     scale = n_bins / (2.0 * math.pi)
     dx, dy = x - clouds.origin[lidar, 0], y - clouds.origin[lidar, 1]
     r = math.sqrt(dx * dx + dy * dy)
-    b = int((math.atan2(dy, dx) + math.pi) * scale)
+    b = int((bearing(dy, dx) + math.pi) * scale)
     half = min(MAX_HALF_WINDOW, n_bins // 2)
     if r > gate:
         half = min(half, int(gate / r * scale) + 1)
-    best, best_d2 = -1, gate * gate
+    best, best_d2, away = -1, gate * gate, 0
     # Outwards, until all remaining points must be farther than the best: at an angle a, nothing is nearer
     # than r sin a. Of two at the same distance, the one at the smaller bearing counts.
-    for away in range(half + 1):
-        least = r * math.sin(min((away - 1) / scale, 0.5 * math.pi))
-        if away > 1 and least * least > best_d2:
-            break
+    while away <= half:
         for side in range(2 if away > 0 else 1):
             k = b - away if side == 0 else b + away
             if k < 0:
@@ -95,6 +93,10 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
             d2 = ex * ex + ey * ey
             if d2 < best_d2 or (d2 == best_d2 and side == 0 and best >= 0):
                 best, best_d2 = row, d2
+                if d2 < 0.25 * r * r:
+                    sine = math.sqrt(d2) / r  # of an angle of less than sine + sine^3 / 5
+                    half = min(half, 1 + int(sine * (1.0 + 0.2 * sine * sine) * scale))
+        away += 1
     return best
 
 
@@ -106,7 +108,7 @@ def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
     n_bins, ox, oy = clouds.bins[lidar], clouds.origin[lidar, 0], clouds.origin[lidar, 1]
     dx, dy = x - ox, y - oy
     r = math.sqrt(dx * dx + dy * dy)
-    b = int((math.atan2(dy, dx) + math.pi) * n_bins / (2.0 * math.pi))
+    b = int((bearing(dy, dx) + math.pi) * n_bins / (2.0 * math.pi))
     beams = 0
     for k in range(b - 1, b + 2):
         row = table[key, k % n_bins]

@@ -22,6 +22,8 @@ from turtlebag.pipeline.slam.scans.open3d_icp import match_points
 # to be partners; this many on either side of one in time see the same as it does, and proportionally more if
 # the lidar sees farther.
 RADIUS_M, ALIKE = 4.0, 2
+# Near means in place and in heading: keys turned by 1 rad are as far as those this far away [m].
+TURN_M = 0.5
 
 
 def partner_radius(clouds: Clouds) -> float:
@@ -40,28 +42,20 @@ def overlapping_pairs(
 ) -> NDArray[np.int64]:
     """Pairs (n, 2), i < j, of nearby keys: each key with its two successors in time and its nearest ones.
     These are spread over all visits to the place: once a key is taken, those up to `alike` before and after
-    it are left out."""
-    n = len(T_map_keys)
-    tree = scipy.spatial.cKDTree(T_map_keys.xy)
-    found: set[tuple[int, int]] = {(k, k + 1) for k in range(n - 1)} | {(k, k + 2) for k in range(n - 2)}
-    for i, near in enumerate(tree.query_ball_point(T_map_keys.xy, radius)):
-        others = np.array([k for k in near if k != i], dtype=np.int64)
-        if len(others) == 0:
-            continue
-        distance = np.linalg.norm(T_map_keys.xy[others] - T_map_keys.xy[i], axis=1)
-        turn = np.abs((T_map_keys.yaw[others] - T_map_keys.yaw[i] + np.pi) % (2 * np.pi) - np.pi)
-        order = np.argsort(distance + 0.5 * turn, kind="stable")
-        taken: list[int] = []
-        beside: set[int] = set()
-        for k in others[order].tolist():
-            # the same view adds nothing
-            if k not in beside:
-                taken.append(k)
-                beside.update(range(k - alike, k + alike + 1))
-                if len(taken) == neighbours:
-                    break
-        found |= {(min(i, k), max(i, k)) for k in taken}
-    return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+    it are left out, as the same view adds nothing."""
+    n, most = len(T_map_keys), 1 + neighbours * (2 * alike + 1)
+    beside = TURN_M * np.column_stack([np.cos(T_map_keys.yaw), np.sin(T_map_keys.yaw)])
+    at, key = np.column_stack([T_map_keys.xy, beside]), np.arange(n)
+    near = scipy.spatial.cKDTree(at).query(at, most, distance_upper_bound=radius)[1]
+    taken, count = np.full((n, neighbours), -alike - 1), np.zeros(n, dtype=np.int64)
+    for one in near.T:  # the nearest of each key first; n where there is none
+        fresh = (one < n) & (one != key) & (count < neighbours)
+        fresh &= (np.abs(one[:, None] - taken) > alike).all(axis=1)
+        taken[fresh, count[fresh]] = one[fresh]
+        count += fresh
+    i, k = np.nonzero(taken >= 0)
+    found = [key[:-1, None] + [0, 1], key[:-2, None] + [0, 2], np.column_stack([i, taken[i, k]])]
+    return np.unique(np.sort(np.concatenate(found), axis=1), axis=0)
 
 
 class PairMatches(NamedTuple):

@@ -20,8 +20,8 @@ from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, gross
 
 # A gyro with a longer period or longer gaps than this is not used across them [s].
 HOLE_S = 0.1
-# Over fewer readings than this, and in all by less than this [rad], the two are not compared.
-FEWEST, TURNING_RAD = 8, 0.8
+# Over turns that are smaller than this in all [rad], the two are not compared.
+TURNING_RAD = 0.8
 # Standard deviations of a gyro's bias [rad/s] and of the difference between a turn by gyro and by wheels
 # [rad], to which ODOMETRY_SHARE of the turn and per metre is added.
 BIAS, NOISE_RAD = 0.01, 0.01
@@ -78,8 +78,6 @@ def _trusted(gyro: GyroTurns, steps: Array, stamps_ns: NDArray[np.int64]) -> tup
     it and the odometry; None when the two do not turn together."""
     turns, known = gyro.turns(stamps_ns)
     waits = seconds(np.diff(stamps_ns))
-    if np.count_nonzero(known) < FEWEST:
-        return None
     for sign in (1.0, -1.0):
         found = gyro_errors(sign * turns[known], steps[known], waits[known])
         expected, _ = _expected(gyro, steps, stamps_ns, sign, found)

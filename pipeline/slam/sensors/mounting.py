@@ -16,15 +16,14 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.odometry.calibration import gross
 from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.times.stretches import (
-    thinning,
+    straight,
+    thinned_scans,
     tracked_alone,
 )
 
-# Number of stretches, and scans of each.
-STRETCHES, SCANS = 24, 8
 # A stretch is usable if the robot drove at least this far [m], and scans and odometry agree on the distance
-# to within a gross error; a third of the stretches must be usable.
-LEAST_WAY_M = 0.1
+# to within a gross error; so many must be usable.
+LEAST_WAY_M, FEWEST = 0.1, 8
 # The stretches agree if their mean direction is at least this long: 0.94 to 1 in 34 logs with enough of them.
 AGREEING = 0.9
 # The correction is rounded to this [deg], so that all recordings of one robot get the same one and small
@@ -49,10 +48,11 @@ def facing(recording: Recording) -> Recording:
 
 def turned_by_deg(recording: Recording) -> float:
     """Error of the laser's declared yaw [deg]; 0 also if unknown."""
-    if recording.T_odom_base is None or len(recording) <= SCANS:
+    if recording.T_odom_base is None:
         return 0.0
-    noise = range_noise(recording, recording.lidar.range_max)
-    return yaw_error_deg(np.array([ways_of(recording, one, noise) for one in stretches(recording)]))
+    scans = thinned_scans(recording)
+    noise = range_noise(scans, scans.lidar.range_max)
+    return yaw_error_deg(np.array([ways_of(scans, one, noise) for one in straight(scans)]))
 
 
 def yaw_error_deg(ways: NDArray[np.complex128]) -> float:
@@ -60,7 +60,7 @@ def yaw_error_deg(ways: NDArray[np.complex128]) -> float:
     ways = ways.reshape(-1, 2)
     by_scans, by_odometry = ways[np.abs(ways[:, 1]) >= LEAST_WAY_M].T
     usable = ~gross(np.abs(by_scans) - np.abs(by_odometry), np.abs(by_odometry))
-    if np.count_nonzero(usable) < STRETCHES // 3:
+    if np.count_nonzero(usable) < FEWEST:
         return 0.0
     turns = by_odometry[usable] / by_scans[usable]
     mean = np.mean(turns / np.abs(turns))
@@ -70,18 +70,6 @@ def yaw_error_deg(ways: NDArray[np.complex128]) -> float:
     middle_deg = np.angle(mean, deg=True) + np.median(np.angle(turns / mean, deg=True))
     turned_deg = STEP_DEG * float(np.round(middle_deg / STEP_DEG))
     return 180.0 - (180.0 - turned_deg) % 360.0
-
-
-def stretches(recording: Recording) -> list[NDArray[np.int64]]:
-    """Scans of each of the stretches in which, by the odometry, the robot drives farthest and turns least."""
-    T = recording.T_odom_base
-    assert T is not None
-    apart = thinning(recording)
-    starts = np.arange(0, len(recording) - apart * SCANS, apart * SCANS)
-    x, y, turn = (T[starts].inverse() @ T[starts + apart * (SCANS - 1)]).xyt.T
-    straight = np.hypot(x, y) * np.cos(np.clip(2.0 * turn, -np.pi, np.pi))
-    chosen = np.sort(np.argsort(-straight, kind="stable")[:STRETCHES])
-    return [start + apart * np.arange(SCANS) for start in starts[chosen]]
 
 
 def ways_of(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) -> NDArray[np.complex128]:

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import nanoseconds, seconds
-from turtlebag.datasets.motion import fastest, known_motion, way_and_turn, without_gap
-from turtlebag.datasets.se2 import wrap
+from turtlebag.datasets.motion import fastest, known_motion, usual_wait_s, way_and_turn, without_gap
+from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.slam.odometry.line_icp import Lines
 from turtlebag.pipeline.slam.odometry.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.odometry.tracker import Tracker
 from turtlebag.pipeline.slam.scans.clouds import Clouds
-from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
+from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
 from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Number of stretches, scans of each, and their least distance [s].
@@ -33,11 +33,6 @@ class Stretch(NamedTuple):
     clouds: Clouds
     track: Track
     beams: NDArray[np.int64]
-
-
-def usual_noise(recording: Recording) -> RangeNoise:
-    """The noise of the lidar, as far as stretches use it."""
-    return range_noise(recording, recording.lidar.range_max)
 
 
 def tracked_alone(
@@ -73,8 +68,21 @@ def turning(scans: Recording) -> list[NDArray[np.int64]]:
     jumped = known & (moved > fastest(moved[known], waits[known]) * waits[:, None]).any(axis=1)
     rate = np.where(known, wrap(np.diff(scans.T_odom_base.yaw)) / np.where(known, waits, 1.0), 0.0)
     change = np.add.reduceat(np.minimum(np.abs(np.diff(rate, append=rate[-1:])), 1.0), starts)
-    change, starts = (of[~np.logical_or.reduceat(jumped, starts)] for of in (change, starts))
-    chosen = starts[np.sort(np.argsort(-change, kind="stable")[:STRETCHES])]
+    return _best(starts, np.where(np.logical_or.reduceat(jumped, starts), -np.inf, change))
+
+
+def straight(scans: Recording) -> list[NDArray[np.int64]]:
+    """Scans of each of the stretches in which, by the odometry, the robot drives farthest and turns least."""
+    T, starts = scans.T_odom_base, np.arange(0, len(scans) - SCANS, SCANS)
+    assert T is not None
+    x, y, turn = (T[starts].inverse() @ T[starts + SCANS - 1]).xyt.T
+    return _best(starts, np.hypot(x, y) * np.cos(np.clip(2.0 * turn, -np.pi, np.pi)))
+
+
+def _best(starts: NDArray[np.int64], worth: Array) -> list[NDArray[np.int64]]:
+    """The scans of the stretches, of those that begin at `starts` (n,), that are worth most, (n,)."""
+    order = np.argsort(-worth, kind="stable")[:STRETCHES]
+    chosen = starts[np.sort(order[np.isfinite(worth[order])])]
     return [start + np.arange(SCANS) for start in chosen]
 
 
@@ -105,6 +113,5 @@ def thinned_scans(recording: Recording) -> Recording:
 
 
 def usual_period(recording: Recording) -> float:
-    """Median time between scans [s]; PERIOD_S if the clock stands still."""
-    waits = seconds(np.diff(recording.stamps_ns))
-    return float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S
+    """The usual time between scans [s]; PERIOD_S if the clock stands still."""
+    return usual_wait_s(seconds(np.diff(recording.stamps_ns))) or PERIOD_S

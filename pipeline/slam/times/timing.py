@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import nanoseconds, seconds
+from turtlebag.datasets.motion import NEARLY_ALWAYS, way_and_turn
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.sensor_times import Estimate, SensorTimes
 from turtlebag.datasets.types import LidarSpec, Recording, Stamps, Trajectory
-from turtlebag.pipeline.slam.scans.range_noise import RangeNoise
+from turtlebag.pipeline.slam.scans.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.times.beam_times import (
     SectorTimes,
     all_round,
@@ -35,7 +36,6 @@ from turtlebag.pipeline.slam.times.stretches import (
     thinned_scans,
     tracked_alone,
     turning,
-    usual_noise,
     usual_period,
 )
 from turtlebag.pipeline.slam.times.turn_comparison import Turns, agreeing, delay_of, surely, turns_of
@@ -44,10 +44,10 @@ from turtlebag.pipeline.slam.times.turn_comparison import Turns, agreeing, delay
 # MOST_S at most: CARMEN pairs scans with odometry up to 0.15 s off, and no map suffers.
 LEAST_S, MOST_S = 0.05, 0.2
 ROUNDS = 8
-# Scans farther apart than this [s], tracked alone, miss turns, so they cannot tell whose odometry it is, nor
-# how the lidar sweeps (of the synthetic logs with a scan a second, five lost their odometry and one had its
-# sweeps reversed: 25 and 2.5 m off).
-JUDGES_S = 0.5
+# Scans between which a robot turns by more than this [rad] at its fastest, tracked alone, miss turns, so they
+# cannot tell whose odometry it is, nor how the lidar sweeps (of the synthetic logs with a scan a second, five
+# lost their odometry and one had its sweeps reversed: 25 and 2.5 m off).
+JUDGES_RAD = 0.5
 # Shares of the period: sectors that are off by less (rms) do not show in a map; parts of the array that are
 # farther apart than in logs of one lidar (at most 0.01 in 7 logs; 0.23 in three merged ones) are two lidars.
 LEAST_SHARE, MERGED_SHARE = 0.04, 0.1
@@ -100,9 +100,9 @@ def compared_times(recording: Recording, *, deskew: bool = True) -> Timing:
     if recording.T_odom_base is None or len(recording) < 2:
         return Timing()
     period_s, scans = usual_period(recording), thinned_scans(recording)
-    judges = period_s <= JUDGES_S
+    judges = bool(np.quantile(way_and_turn(scans.T_odom_base.steps())[:, 1], NEARLY_ALWAYS) <= JUDGES_RAD)
     swept = deskew and judges and has_sectors(recording.lidar)
-    noise = usual_noise(scans)
+    noise = range_noise(scans, scans.lidar.range_max)
     look = cache(partial(_look, scans, noise, turning(scans), period_s if swept else 0.0))
     believed, over = _settled(look, recording.lidar, period_s, swept)
     if swept and all_round(believed.lidar):
@@ -176,8 +176,10 @@ def _times(look: Look, belief: Belief, over: bool | None, period_s: float) -> Se
     """What the stretches say about the times, deskewed as is believed."""
     seen = look(belief)
     delay, sweep, first = Estimate(belief.late_s, seen.turns.delay_sigma), None, None
+    sectors_s: tuple[float, ...] = ()
     if seen.sectors:
         best = best_sweep(belief.lidar, seen.sectors, period_s, belief.lidar.first_beam)
+        sectors_s = tuple((believed_s(best.lidar) + best.rest_s).tolist())
         periods = 1.0 / ((1.0 - 1.0 / best.lidar.n_beams) * period_s)
         way = np.copysign(periods, best.lidar.time_increment)
         sweep = Estimate(float(way) * best.lidar.sweep_s, periods * best.sigma_s)
@@ -186,7 +188,7 @@ def _times(look: Look, belief: Belief, over: bool | None, period_s: float) -> Se
         known = sweep and all_round(best.lidar) and first.sigma < UNSURE_SHARE * best.lidar.n_beams
         first = first if known else None
     apart_s = _apart_s(look, belief, period_s)
-    return SensorTimes(delay if delay.sigma < LEAST_S else None, sweep, first, over, apart_s)
+    return SensorTimes(delay if delay.sigma < LEAST_S else None, sweep, first, over, apart_s, sectors_s)
 
 
 def _apart_s(look: Look, belief: Belief, period_s: float) -> float:

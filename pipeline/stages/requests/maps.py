@@ -30,7 +30,7 @@ from turtlebag.pipeline.stages.requests.options import (
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.planners.planner_names import PlannerName
 
-PLANNERS = get_args(PlannerName)
+PLANNERS = (*get_args(PlannerName), "lattice")
 
 
 class MapRequest(Request):
@@ -77,7 +77,12 @@ class MapRequest(Request):
     ] = ()
     name: Annotated[str | None, Option("NAME", "also save the map as NAME.pgm and NAME.yaml", "hall")] = None
     edits: Annotated[
-        Path | None, file("FILE", "YAML file of loop closures to reject or to add", "edits.yaml")
+        Path | None,
+        file(
+            "FILE",
+            "YAML file of loop closures to reject or to add, and of walls to draw or erase",
+            "edits.yaml",
+        ),
     ] = None
     config: ConfigFile = None
     settings: Overrides = Field({})
@@ -138,8 +143,8 @@ class PlanRequest(Request):
         Annotated[str, part_of(*PLANNERS)] | None,
         Option(
             "P",
-            f"OMPL planner: {', '.join(PLANNERS)} (default: BITstar for a disc, else RRTConnect), "
-            "or your own class (module:Class)",
+            f"OMPL planner (default: BITstar), `lattice`, which needs no OMPL, or your own class "
+            f"(module:Class): {', '.join(PLANNERS)}",
             "RRTstar",
             choices=OrOwn(PLANNERS),
         ),

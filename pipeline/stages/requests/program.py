@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from turtlebag.pipeline.stages.requests.request import Request
 
-# A path below the program's folder.
-FileName = Annotated[str, Field(pattern=r"^\w[\w.-]*(/\w[\w.-]*)*$")]
+# A path below the program's folder; a campaign's file may say it in braces, and for some levels nothing.
+FileName = Annotated[
+    Annotated[str, Field(pattern=r"^(\w[\w.-]*(/\w[\w.-]*)*|\{[^{}]*\})$")] | None,
+    BeforeValidator(lambda name: None if name == "" else name),
+]
 
 
 class ProgramRequest(Request):
@@ -24,9 +27,9 @@ class ProgramRequest(Request):
     EXAMPLE = ""
 
     command: Annotated[tuple[str, ...], Field(min_length=1)]
-    trajectory: FileName | None = None
-    map: FileName | None = None
-    odometry: FileName | None = None
+    trajectory: FileName = None
+    map: FileName = None
+    odometry: FileName = None
     truth: Path | None = None
     relations: Path | None = None
     time_limit_s: float = Field(default=600.0, gt=0.0, allow_inf_nan=False)

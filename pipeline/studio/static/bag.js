@@ -47,8 +47,15 @@ export function bagAdvice({ mapping, state }) {
   if (mapping) return "";
   if (state === "at its end" && !scene.blobs.graph_nodes?.length) return "End of the bag: go back with the bar below, or map the whole bag.";
   if (!scene.blobs.graph_nodes?.length) return "Start mapping to map the bag while it plays, or map the whole bag at once.";
-  return state === "playing" ? "" : "Choose Loops and click a loop to overlay its two scans.";
+  return state === "playing" ? "" : "Choose Loops and click a loop to overlay its two scans, or Draw and Erase to mend walls.";
 }
+
+const EDITS = {
+  reject: (scan, place) => `Scans ${scan} and ${place} are kept apart`,
+  add: (scan, place) => `Scans ${scan} and ${place} are joined`,
+  draw: (scan) => `A wall is drawn near scan ${scan}`,
+  erase: (scan) => `Walls are erased near scan ${scan}`,
+};
 
 /** Update the bag's controls after each frame. */
 export function showBag(head) {
@@ -65,10 +72,11 @@ export function showBag(head) {
   list.dataset.told = told;
   list.replaceChildren(...bag.edits.map(([kind, scan, place]) => {
     const row = document.createElement("li");
-    row.textContent = kind === "reject" ? `Scans ${scan} and ${place} are kept apart` : `Scans ${scan} and ${place} are joined`;
+    row.textContent = EDITS[kind](scan, place);
     return row;
   }));
   put(byId("forget"), "disabled", !bag.edits.length);
+  put(byId("undo"), "disabled", !bag.edits.some(([kind]) => kind === "draw" || kind === "erase"));
 }
 
 /** The controls that only a bag has. */

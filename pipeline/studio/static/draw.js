@@ -276,8 +276,12 @@ export const LAYERS = [
   ["robot", "Robot", () => scene.head.pose && body(scene.head.pose, colour.estimate, 0.6), true],
 ];
 
-/** Preview of a tool: an arrow, the robot being carried, an outline. */
-function sketch({ arrow, carried, outline, tip }) {
+/** Preview of a tool: an arrow, the robot being carried, an outline, a stroke. */
+function sketch({ arrow, carried, outline, tip, stroke: line, erased, width }) {
+  if (line) {
+    trace(line);
+    stroke(erased ? colour.bad : colour.ink, Math.max(width * view.scale, 3));
+  }
   if (arrow) flag(...arrow, "", colour.odometry, { hollow: true });
   if (carried) body(carried, colour.odometry, 0.3);
   if (outline?.length) {

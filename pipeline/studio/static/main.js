@@ -80,7 +80,7 @@ async function copy(place) {
 const speeds = (v, w) => put(byId("cmd"), "textContent", `${v.toFixed(2)} m/s, ${w.toFixed(1)} rad/s`);
 const drive = new Drive((message) => { goOn(); connection.send(message); }, speeds);
 const waypoints = new Waypoints(byId("waypoints"), (list) => connection.send({ do: "waypoints", waypoints: list }), changed, refuse);
-const desk = new Desk({ send, copy, refuse, waypoints, size: () => Number(byId("size").value), chosen });
+const desk = new Desk({ send, copy, refuse, waypoints, size: () => Number(byId("size").value), width: () => Number(byId("width").value), chosen });
 const connection = new Connection(arrived, told);
 
 function chosen(name, tool) {

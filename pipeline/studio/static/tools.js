@@ -27,6 +27,17 @@ const arrow = (send, otherwise) => ({
   typed(desk, text) { return send(desk, numbers(text, 3)); },
 });
 
+/** Press, drag, release: a straight stroke; a press alone is a spot. */
+const stroke = (name, hint, width) => ({
+  hint,
+  form: "x, y, x, y",
+  press(desk, at) { this.move(desk, at, this.from = at); },
+  move(desk, at) { desk.doing = { stroke: [this.from, at], erased: name === "wall_erase", width: width(desk) }; },
+  release(desk) { this.send(desk, desk.doing.stroke.map(round3)); },
+  typed(desk, text) { const flat = numbers(text, 4); return flat && this.send(desk, [flat.slice(0, 2), flat.slice(2)]); },
+  send: (desk, points) => desk.send({ do: name, points, width: width(desk) }),
+});
+
 const heading = () => scene.head.pose?.[2] ?? 0;
 const ahead = (at) => (scene.head.pose ? turned(scene.head.pose, at) : 0);
 
@@ -140,6 +151,8 @@ const TOOLS = {
       return pose.length === 3 && desk.send({ do: "loop_add", scan, place, pose });
     },
   },
+  wall: stroke("wall_draw", "Draw a wall: press, drag, release.", () => 0),
+  erase: stroke("wall_erase", "Erase walls: press, drag, release; or click a spot.", (desk) => desk.width()),
   carry: {
     hint: "Carry: drag the robot to another place; or press, drag for the heading, release.",
     form: "x, y, heading",
@@ -160,11 +173,11 @@ function seenFrom([ax, ay, at], [bx, by, bt]) {
   return [c * dx + s * dy, c * dy - s * dx, Math.atan2(Math.sin(bt - at), Math.cos(bt - at))];
 }
 
-export const KEYS = { l: "loop", j: "join", v: "view", p: "pose", g: "goal", n: "waypoint", c: "point", k: "keepout", b: "box", r: "carry" };
+export const KEYS = { l: "loop", j: "join", m: "wall", e: "erase", v: "view", p: "pose", g: "goal", n: "waypoint", c: "point", k: "keepout", b: "box", r: "carry" };
 
 /** The current tool; `doing` is the preview that draw.js paints. */
 export class Desk {
-  /** `helpers`: send, copy, size (of a box), waypoints, chosen (told the tool). */
+  /** `helpers`: send, copy, size (of a box), width (of the eraser), waypoints, chosen (told the tool). */
   constructor(helpers) {
     Object.assign(this, helpers, { doing: {}, name: "view", busy: false });
   }
