@@ -8,7 +8,8 @@ recorded tour, but for the controllers side by side, which drive on the true one
 `realistic` ones, on the tour and in the episodes; `--sensors clean` runs the same episodes with its clean
 ones; rows and tables lie in a folder of each. Started again with the same --out, a campaign goes on where it
 was (delete its folder `rows` to start anew). `--from` runs other seeds; `--replay` drives one episode again
-and keeps its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
+and keeps its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA; worlds of
+"BARN's kind" are generated, one for each seed.
 """
 
 from __future__ import annotations
@@ -90,6 +91,7 @@ def scenarios(maps: Maps, quick: bool, sensors: Sensors = "realistic") -> dict[s
         ]
     found.append(of("closed ring, arena", 50, 2, trials.closed_ring, maps))
     found.append(of("closed door, house", 50, 2, trials.closed_door, maps))
+    found.append(of("BARN's kind", 100, 3, trials.barn_kind))
     if worlds := trials.barn_worlds():
         found.append(of("BARN", 3 * len(worlds), len(worlds), trials.barn, worlds))
     return {scenario.name: scenario for scenario in found}

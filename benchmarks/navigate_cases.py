@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from benchmarks.barn_kind import GOAL, START, barn_like
 from benchmarks.drives import PLACES, Maps
 from benchmarks.runner import public
 from turtlebag.datasets.grid import OccupancyGrid
@@ -210,18 +211,25 @@ def barn_worlds() -> list[Path]:
 def barn(worlds: list[Path], name: str, seed: int) -> Trial:
     """Seed s is run s // n of the n worlds, mapless."""
     path = worlds[seed % len(worlds)]
+    cells = np.load(path.with_name(path.stem.replace("world", "path") + ".npy"))
+    inner = np.stack([0.15 * cells[:, 0] - 4.575, 0.15 * cells[:, 1] + 5.075], axis=1)
+    whole = np.concatenate([START.xy[None], inner, GOAL.xy[None]])
+    length = float(np.linalg.norm(np.diff(whole, axis=0), axis=1).sum())
+    return through_posts(dataclasses.replace(load_world(str(path)), name=path.stem), length, seed)
+
+
+def barn_kind(name: str, seed: int) -> Trial:
+    """A world of BARN's kind that is used once."""
+    return through_posts(*barn_like(seed), seed)
+
+
+def through_posts(world: World, length: float, seed: int) -> Trial:
+    """BARN's challenge in a world through which the best way is this long [m]."""
     # The robot stops by its drifting odometry, the challenge judges by the truth: leave room between.
     checker = GoalCheckerConfig(xy_goal_tolerance=0.75, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
     config = NavigateConfig(goal_checker=checker)
-    start = SE2.from_xyt(-2.25, 3.0, math.pi / 2.0)
-    goal = SE2.from_xyt(-2.25, 13.0, math.pi / 2.0)
-    cells = np.load(path.with_name(path.stem.replace("world", "path") + ".npy"))
-    inner = np.stack([0.15 * cells[:, 0] - 4.575, 0.15 * cells[:, 1] + 5.075], axis=1)
-    whole = np.concatenate([start.xy[None], inner, goal.xy[None]])
-    best = float(np.linalg.norm(np.diff(whole, axis=0), axis=1).sum()) / 2.0
-    request = Request(task="goal", seed=seed, start=start, goal=goal, timeout_s=100.0)
-    world = dataclasses.replace(load_world(str(path)), name=path.stem)
-    score = functools.partial(_barn_score, best)
+    request = Request(task="goal", seed=seed, start=START, goal=GOAL, timeout_s=100.0)
+    score = functools.partial(_barn_score, length / 2.0)
     return Trial(world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
 
 

@@ -130,7 +130,7 @@ class Campaign(Settings):
     factors: dict[str, Annotated[Levels, WrapValidator(_of_one_kind)]] = Field({})
     sample: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = None
     stages: dict[
-        str,
+        Annotated[str, Field(pattern=r"^[^./\x00][^/\x00]*$")],  # a folder of that name
         Annotated[
             Annotated[str, Tag("line")] | Annotated[ProgramRequest, Tag("program")], Discriminator(_kind)
         ],

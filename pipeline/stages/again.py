@@ -82,9 +82,13 @@ def quietly() -> Iterator[None]:
 def request_in(manifest: Manifest) -> Request:
     """The request of a manifest; NotRun where there is none of ours."""
     fields = dict(manifest.request or {})
-    kind = REQUESTS.get(str(fields.pop("verb", None)))
+    verb = str(fields.pop("verb", None))
+    kind = REQUESTS.get(verb)
     if kind is None:
         raise NotRun("made by an earlier version: run it again")
+    # A page may come from anybody: no command is run for it but those that make what it shows.
+    if manifest.stage != {KeyboardRequest.VERB: "record"}.get(verb, verb):
+        raise NotRun(f"is an output of {manifest.stage}, but its request is of {verb}")
     if isinstance(fields.get("config"), str):  # what a file said is recorded; a name may lead to any part
         raise NotRun(
             f"its request names a settings file, {fields['config']}, instead of holding its settings"

@@ -82,6 +82,7 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
         ("{size} --seed", "{height} --seed", "{height} is neither a factor nor an earlier stage"),
         ("{size} --seed", "{size.wide} --seed", "stages.make: .* no attribute 'wide'"),
         ("{size} --seed", "{size} {} --seed", "stages.make: a brace without a name"),
+        ("  make: ", "  ../make: ", r"stages\.\.\./make"),
         ("y: good", "y: bad", "not a result"),
         ("question:", "questoin:", "unknown key"),
         ("compare: size", "shared: [cook]", "cook is not a stage"),

@@ -151,6 +151,11 @@ FORGED = {
     "no request": {
         "room/map: made by an earlier version: run it again": in_manifest("map", lambda m: m.pop("request")),
     },
+    "another command": {
+        "room/map: is an output of map, but its request is of grade": in_manifest(
+            "map", lambda m: m.update(request={"verb": "grade", "source": "theirs.py", "lesson": 2})
+        ),
+    },
     "a part from outside": {
         "room/map: names my.parts:Mine, from outside the package; --allow-commands runs it": in_manifest(
             "map", lambda m: m["request"]["settings"].update(front_end="my.parts:Mine")

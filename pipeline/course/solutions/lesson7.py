@@ -69,7 +69,8 @@ class Controller(Ramped):
 
     def __init__(self, model: RobotModel, period: float) -> None:
         super().__init__(model, period, max_v=0.2, max_w=1.2)
-        self.state, self.path, self.nearest, self.arrived = "idle", SE2.identity(1), 0, False
+        self.state, self.nearest, self.arrived = "idle", 0, False
+        self.path: SE2 | None = None
 
     def set_path(self, poses: SE2) -> None:
         """Follow a new path."""
@@ -77,6 +78,8 @@ class Controller(Ramped):
 
     def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         """Steer for the point 0.2 m ahead, turn on the spot to a large bearing, align at the end."""
+        if self.path is None:
+            return self.ramp(Twist(), last)
         away = np.linalg.norm(self.path.xy[self.nearest : self.nearest + 10] - pose.xy, axis=1)
         self.nearest += int(away.argmin())
         ahead = self.path[min(self.nearest + 4, len(self.path) - 1)]
