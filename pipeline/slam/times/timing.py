@@ -100,7 +100,10 @@ def compared_times(recording: Recording, *, deskew: bool = True) -> Timing:
     if recording.T_odom_base is None or len(recording) < 2:
         return Timing()
     period_s, scans = usual_period(recording), thinned_scans(recording)
-    judges = bool(np.quantile(way_and_turn(scans.T_odom_base.steps())[:, 1], NEARLY_ALWAYS) <= JUDGES_RAD)
+    T_odom_base = scans.T_odom_base
+    assert T_odom_base is not None
+    turns = way_and_turn(T_odom_base.steps())[:, 1]
+    judges = bool(np.quantile(turns, NEARLY_ALWAYS) <= JUDGES_RAD)
     swept = deskew and judges and has_sectors(recording.lidar)
     noise = range_noise(scans, scans.lidar.range_max)
     look = cache(partial(_look, scans, noise, turning(scans), period_s if swept else 0.0))
