@@ -150,7 +150,7 @@ class Dwa(Ramped):
         """The next command: the best arc, or the settling on the goal."""
         if len(self._path) < 2:
             return self.brake(last)
-        gap = float(np.linalg.norm(self._path.xy[-1] - pose.xy))
+        gap = math.dist(self._path.xy[-1], pose.xy)
         if gap < self.window.settle_distance:
             if self._settler.state in (Phase.TURN, Phase.FOLLOW):
                 self._settler.state = Phase.SETTLE
@@ -193,15 +193,22 @@ class Dwa(Ramped):
         vs = np.linspace(max(last.v - dv, lowest), min(last.v + dv, limits.max_v), c.vx_samples)
         ws = np.linspace(max(last.w - dw, -limits.max_w), min(last.w + dw, limits.max_w), c.vth_samples)
         # as in dwa_local_planner, an exact zero is added when the window straddles it
-        return np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
+        return with_zero(vs) if vs[0] < 0.0 < vs[-1] else vs, with_zero(ws)
 
     def _best_arc(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         # nearer to the goal than that, the forward point would hold the robot back
-        near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < FORWARD_M
+        near = math.dist(self._path.xy[-1], pose.xy) < FORWARD_M
         ahead = 0.0 if near else FORWARD_M
         weights = self.weights._replace(braking=ACCELERATION_SHARE * self.limits.max_dv, ahead=ahead)
         at = tuple((costmap.T_grid_map @ pose).xyt.tolist())
         return Twist(*best_arc(self.floor(pose, costmap), self.samples, at, *self.speeds(last), weights))
+
+
+def with_zero(speeds: Array) -> Array:
+    """Rising speeds (n,) and a zero, if there is none."""
+    at = int(np.searchsorted(speeds, 0.0))
+    there = at < len(speeds) and speeds[at] == 0.0
+    return speeds if there else np.concatenate([speeds[:at], [0.0], speeds[at:]])
 
 
 @njit(cache=True)
