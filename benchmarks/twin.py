@@ -8,6 +8,12 @@ Suites:
   observability  drives that cannot show some parameters: straight ahead only, on the spot only, and without
                  /cmd_vel and IMU: how often these are called not observable, and the others of a whole drive
                  observable
+  real           public logs (TURTLEBAG_DATA): errors of odometry, front end and mapper by the relations, and
+                 those of the twin by its truth, at the same pairs of scans
+  round_trip     robots with drawn parameters beside twins of one bag of theirs, 20 drives of 10 m each: do
+                 the errors of mapping and localisation tell them apart
+  power          the same robots beside some with 10 % more noise or slip, 20 drives each: do ranges and
+                 odometry tell them apart
 """
 
 from __future__ import annotations
@@ -21,45 +27,55 @@ from typing import Any
 
 import numpy as np
 import yaml
+from scipy.stats import ks_2samp
 
-from benchmarks.runner import Row, Suite, each, every, options, parsed, run, share
+from benchmarks.runner import Row, Suite, each, every, options, parsed, public_log, run, share
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.relations import Relations, load_relations
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.pipeline.identify.identify import Identification, Streams, identify
+from turtlebag.pipeline.identify.identify import identified as identified_by
+from turtlebag.pipeline.slam.graph.edits import Edits
+from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam
+from turtlebag.pipeline.stages.localise import LocaliseConfig, aligned_in_time, run_amcl
+from turtlebag.pipeline.stages.map import map_scans
 from turtlebag.pipeline.stages.record import Scene, record
+from turtlebag.pipeline.stages.twin import driven_again, write_twin
+from turtlebag.pipeline.twin.comparison import cliffs_delta, compare, holm
+from turtlebag.pipeline.twin.driver import Drive
+from turtlebag.pipeline.twin.samples import Samples, odometry_samples, range_samples
+from turtlebag.reports.metrics.relations import nearest, relations_metrics
+from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world
 
 CODE = ("sim", "pipeline/slam", "pipeline/identify", "datasets", "benchmarks/twin.py")
 PLACES = {"house": "turtlebot3_house", "office": "office:{}", "maze": "maze:{}"}
-WAY_M = 30.0
+WAY_M, DRIVES = 30.0, 20
+ARENA, LOGS = "turtlebot3_world", ("mit-csail", "aces", "fr079", "intel")
+# Scans of a twin are as near as this [ns] to those of its log.
+NEAR_NS = 150_000_000
+SYSTEMS = ("odometry", "front end", "mapper")
+LOOKED_AT = ("residual_0", "residual_1", "residual_2", "wander", "turn")
 SCRIPTS: dict[str, list[dict[str, Any]]] = {
     "drive": [{"wait": 2.0}, {"random_walk": WAY_M}, {"wait": 1.0}],
     "straight": [{"wait": 1.0}, {"drive": 1.2}, {"wait": 0.5}, {"drive": -1.2}] * 2,
+    "short": [{"wait": 1.0}, {"random_walk": 10.0}],
     "spin": [{"wait": 1.0}, {"turn_deg": 360.0}, {"turn_deg": -360.0}] * 2,
 }
 HIDDEN = {
     "straight": (
-        "turn_scale",
-        "turn_slip",
-        "lidar_x",
-        "lidar_y",
-        "gyro_scale",
-        "sweep",
-        "first_beam",
-        "max_dw",
+        "turn_scale", "turn_slip", "lidar_x", "lidar_y", "gyro_scale", "sweep", "first_beam", "max_dw",
     ),
     "spin": ("wheel_scale", "turn_per_m", "lidar_yaw", "slip", "max_dv"),
     "bare": (
-        "command_delay",
-        "max_dv",
-        "max_dw",
-        "gyro_scale",
-        "gyro_bias",
-        "gyro_noise",
-        "accelerometer_noise",
+        "command_delay", "max_dv", "max_dw", "gyro_scale", "gyro_bias", "gyro_noise", "accelerometer_noise",
     ),
-}
+}  # fmt: skip
 """What a drive cannot show; `bare` is a whole one without /cmd_vel and IMU."""
 SHOWN = (
     "wheel_scale", "turn_scale", "turn_per_m", "slip", "lidar_x", "lidar_y", "lidar_yaw", "sigma", "lost",
@@ -125,16 +141,9 @@ def truth_of(robot: RobotSpec, seed: int) -> dict[str, float]:
     scale = wheels.radius / (wheels.controller_radius or wheels.radius)
     late = float(np.mean(errors.stamp_delay))
     own = (
-        "sigma",
-        "sigma_square",
-        "angle_deg",
-        "resolution",
-        "jitter",
-        "lost",
-        "grazing",
-        "known_offset",
+        "sigma", "sigma_square", "angle_deg", "resolution", "jitter", "lost", "grazing", "known_offset",
         "known_square",
-    )
+    )  # fmt: skip
     return {
         "wheel_scale": scale,
         "turn_scale": scale * wheels.separation / (2.0 * wheels.joint_y),
@@ -155,12 +164,9 @@ def truth_of(robot: RobotSpec, seed: int) -> dict[str, float]:
 
 def identified(place: str, seed: int, script: str, robot: RobotSpec, *, bare: bool = False) -> Identification:
     """A robot's identification by such a drive; the lidar is said to sit where the burger's does."""
-    scene = Scene.load(PLACES[place].format(1000 + seed), "burger", seed)
-    scene = replace(scene, robot=robot, sim=type(scene.sim)().resolved(robot))
     with tempfile.TemporaryDirectory() as folder:
-        teleop, out = Path(folder) / "script.yaml", Path(folder) / "rec"
-        teleop.write_text(yaml.safe_dump({"name": script, "v": 0.2, "w": 0.8, "steps": SCRIPTS[script]}))
-        record(scene, str(teleop), Output(out))
+        out = Path(folder) / "rec"
+        driven(out, robot, script, seed, PLACES[place].format(1000 + seed))
         recording = load_recording(out, T_base_lidar=load_robot("burger").T_base_lidar)
         streams = Streams() if bare else Streams.of(out)
         return identify(replace(recording, imu=None) if bare else recording, load_robot("burger"), streams)
@@ -217,9 +223,149 @@ def right(rows: list[Row]) -> list[Row]:
     return [{"called what they are": share(asked - wrong, asked)}]
 
 
+def real(log: str) -> Row:
+    """Mean errors of the relations [m]: of the log, and of its twin by its truth."""
+    path, config = public_log(log), SlamConfig()
+    if path is None:
+        return {}
+    recording, relations = load_recording(path), load_relations(path.with_name(f"{log}.relations"))
+    with tempfile.TemporaryDirectory() as folder:
+        mapped, found, drive, world = twin_in(Path(folder), recording, path)
+        again, truth = driven_again(world, found.robot, drive, 1)
+    begun = int(drive.path.stamps_ns[0])
+    stamps = relations.stamps_a_ns, relations.stamps_b_ns
+    ends = [nearest(truth.stamps_ns + begun, at, NEAR_NS) for at in stamps]
+    a, b = (rows[ends[0][1] & ends[1][1]] for rows, _ in ends)
+    same = Relations(truth.stamps_ns[a], truth.stamps_ns[b], truth.poses[a].inverse() @ truth.poses[b])
+    real_ones = by_system(recording, mapped, relations)
+    twins = by_system(again, run_slam(again, config), same)
+    return {name: [real_ones[name], twins[name], twins[name] / real_ones[name]] for name in twins}
+
+
+def twin_in(
+    folder: Path, recording: Recording, source: Path
+) -> tuple[SlamResult, Identification, Drive, World]:
+    """The map, the robot, the drive and the world of a recording, written to a folder."""
+    mapped = map_scans([recording], SlamConfig(), None, Edits(), explain=False)
+    result = mapped.result
+    assert isinstance(result, SlamResult)
+    found = identified_by(recording, result.session, load_robot("burger"), Streams.of(source))
+    drive = write_twin(mapped, found, Drive.of(result.trajectory, None), folder, source)
+    return result, found, drive, load_world(str(folder / "world.yaml"))
+
+
+def by_system(recording: Recording, found: SlamResult, relations: Relations) -> dict[str, float]:
+    """Errors [m] of the odometry, the front end and the whole."""
+    assert recording.T_odom_base is not None
+    poses = recording.T_odom_base, found.session.track.T_track_base, found.trajectory.poses
+    errors = [relations_metrics(Trajectory(recording.stamps_ns, own), relations) for own in poses]
+    means = [float(one["relations"]["trans_m"]["mean"] or 0.0) for one in errors]
+    return dict(zip(SYSTEMS, means, strict=True))
+
+
+def round_trip(robot: int) -> Row:
+    """Errors [m] of a robot and of its twins, a drive a row; p after Holm, and Cliff's delta."""
+    hidden, arena = hidden_robot(7000 + robot), load_world(ARENA)
+    with tempfile.TemporaryDirectory() as folder:
+        bag, place = Path(folder) / "rec", Path(folder) / "twin"
+        path = driven(bag, hidden, "short", robot)
+        recording = load_recording(bag, T_base_lidar=load_robot("burger").T_base_lidar)
+        place.mkdir()
+        _, found, drive, world = twin_in(place, recording, bag)
+        samples = []
+        for of_twin in (False, True):
+            errors = []
+            for seed in range(DRIVES):
+                spec = found.drawn(stream(seed, "round trip")) if of_twin else hidden
+                way = drive if of_twin else Drive(path)
+                again, truth = driven_again(world if of_twin else arena, spec, way, seed)
+                errors.append(drive_errors(again, truth, seed))
+            samples.append({name: np.array([one[name] for one in errors]) for name in errors[0]})
+    p = holm(np.array([ks_2samp(samples[0][name], samples[1][name]).pvalue for name in samples[0]]))
+    return {
+        name: [float(np.median(samples[0][name])), float(np.median(samples[1][name])), float(p[k]),
+               cliffs_delta(samples[0][name], samples[1][name])]
+        for k, name in enumerate(samples[0])
+    }  # fmt: skip
+
+
+def drive_errors(recording: Recording, truth: Trajectory, seed: int) -> dict[str, float]:
+    """Root mean squares after a fit [m]: of the drive's own map, and of the localisation on it."""
+    mapped, recording = run_slam(recording, SlamConfig()), aligned_in_time(recording)
+    start = mapped.trajectory.poses[0]
+    localised = run_amcl(recording, mapped.grid, start, LocaliseConfig(), stream(seed, "amcl"))
+    paths = {"mapping": mapped.trajectory, "localisation": localised.trajectory}
+    errors = {name: associate(path, truth).aligned().position_errors() for name, path in paths.items()}
+    return {name: float(np.sqrt(np.mean(one**2))) for name, one in errors.items()}
+
+
+def driven(out: Path, robot: RobotSpec, script: str, seed: int, place: str = ARENA) -> Trajectory:
+    """Record a drive; its true path."""
+    scene = Scene.load(place, "burger", seed)
+    scene = replace(scene, robot=robot, sim=type(scene.sim)().resolved(robot))
+    with tempfile.TemporaryDirectory() as folder:
+        teleop = Path(folder) / "script.yaml"
+        teleop.write_text(yaml.safe_dump({"name": script, "v": 0.2, "w": 0.8, "steps": SCRIPTS[script]}))
+        record(scene, str(teleop), Output(out))
+    return load_tum(out / "truth" / "trajectory.tum")
+
+
+def power(robot: int) -> Row:
+    """Whether a tenth more noise, or slip, is told apart from the robot itself, and nothing else is."""
+    hidden, arena = hidden_robot(7000 + robot), load_world(ARENA)
+    with tempfile.TemporaryDirectory() as folder:
+        drive = Drive(driven(Path(folder) / "rec", hidden, "short", robot))
+    errors, wheels = hidden.lidar.errors, hidden.wheels
+    more = {"sigma": 1.1 * errors.sigma, "sigma_square": 1.1 * errors.sigma_square}
+    noisy = hidden.lidar.model_copy(update={"errors": errors.model_copy(update=more)})
+    slips = {"slip": 1.1 * (wheels.slip or 0.0), "turn_slip": 1.1 * (wheels.turn_slip or 0.0)}
+    robots = {
+        "noise": hidden.model_copy(update={"lidar": noisy}),
+        "slip": hidden.model_copy(update={"wheels": wheels.model_copy(update=slips)}),
+        "none": hidden,
+    }
+
+    def pooled(spec: RobotSpec, first: int) -> Samples:
+        drives = [driven_again(arena, spec, drive, first + seed) for seed in range(DRIVES)]
+        each = [range_samples(own) | odometry_samples(own, truth.poses) for own, truth in drives]
+        return {name: np.concatenate([one[name] for one in each]) for name in each[0] if name in LOOKED_AT}
+
+    itself = pooled(hidden, 0)
+    found = {name: compare(itself, [pooled(spec, 100)]) for name, spec in robots.items()}
+    return {name: [one.quantity.name for one in ones if one.differs] for name, ones in found.items()}
+
+
+def ratios(rows: list[Row]) -> list[Row]:
+    """Real, twin and their ratio, a row a log."""
+
+    def text(row: Row, name: str) -> str:
+        return " / ".join(f"{one:.3g}" for one in row.get(name, ()))
+
+    return [{"log": row["log"]} | {name: text(row, name) for name in SYSTEMS} for row in rows]
+
+
+def passed(rows: list[Row]) -> list[Row]:
+    """How many robots' errors cannot be told from those of their twins."""
+    names = ("mapping", "localisation")
+    alike = sum(all(row[name][2] >= 0.05 for name in names) for row in rows)
+    table = [{"robots": "all", "not told apart": share(alike, len(rows))}]
+    for row in rows:
+        texts = {name: "{:.4f} / {:.4f} m, p {:.2g}, delta {:+.2f}".format(*row[name]) for name in names}
+        table.append({"robots": row["robot"]} | texts)
+    return table
+
+
+def told(rows: list[Row]) -> list[Row]:
+    """How many changes are told apart by what they are seen in, and by anything where nothing changed."""
+    noise = sum(any(name.startswith("residual") for name in row["noise"]) for row in rows)
+    slip = sum(any(name in ("wander", "turn") for name in row["slip"]) for row in rows)
+    counts = {"noise": noise, "slip": slip, "none": sum(bool(row["none"]) for row in rows)}
+    return [{name: share(count, len(rows)) for name, count in counts.items()}]
+
+
 def suites(args: Namespace) -> dict[str, Suite]:
-    """Both suites."""
-    per_place = range(201, 201 + -(-args.robots // len(PLACES)))
+    """All suites."""
+    per_place = range(401, 401 + -(-args.robots // len(PLACES)))
     rows = [(place, seed) for seed in per_place for place in PLACES]
     drives = every(partial(observability), place=("house", "office"), seed=(201, 202), drive=HIDDEN)
     return {
@@ -227,6 +373,9 @@ def suites(args: Namespace) -> dict[str, Suite]:
             each(coverage, ("place", "seed"), rows), summary=held, quick=3, code=CODE, show=False
         ),
         "observability": Suite(drives, summary=right, quick=3, code=CODE),
+        "real": Suite(every(real, log=LOGS), summary=ratios, quick=1, code=CODE),
+        "round_trip": Suite(every(round_trip, robot=range(10)), summary=passed, quick=1, code=CODE),
+        "power": Suite(every(power, robot=range(10)), summary=told, quick=1, code=CODE),
     }
 
 

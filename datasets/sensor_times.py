@@ -22,7 +22,7 @@ class SensorTimes:
     for its beams, as a share of the time from scan to scan, negative if it takes them in the opposite order
     to the array's; `first_beam` is the beam with which it begins. `upside_down` says whether it is mounted
     the other way up than declared. `apart_s` [s], if not 0, is a time between parts of the array that no
-    sweep explains.
+    sweep explains. `sectors_s` are the times of equal parts of the array, as scans of turns show them.
     """
 
     delay_s: Estimate | None = None
@@ -30,10 +30,12 @@ class SensorTimes:
     first_beam: Estimate | None = None
     upside_down: bool | None = None
     apart_s: float = 0.0
+    sectors_s: tuple[float, ...] = ()
 
     @staticmethod
     def of_record(record: Mapping[str, Any]) -> SensorTimes:
         """From its fields as JSON; ValueError or TypeError if they are not its fields."""
         estimates = ("delay_s", "sweep", "first_beam")
         values = {name: Estimate(*map(float, record[name])) for name in estimates if record.get(name)}
-        return SensorTimes(**{**record, **values})
+        sectors_s = tuple(map(float, record.get("sectors_s", ())))
+        return SensorTimes(**{**record, **values, "sectors_s": sectors_s})

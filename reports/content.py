@@ -13,6 +13,7 @@ from turtlebag.reports.kinds import KINDS, stage_metrics, verdict
 from turtlebag.reports.metric_specs import GOAL_NUMBERS, PICTURE_SOURCES, Section
 from turtlebag.reports.metrics.navigation import outcome
 from turtlebag.reports.numbers import DASH, Number, files_of, lookup, other_values, sections_of, shown
+from turtlebag.reports.parameters import parameter_rows
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage
 from turtlebag.reports.system_comparison import SystemComparison
@@ -62,7 +63,8 @@ class Part:
     def picture_files(self, picture: Picture) -> list[tuple[str, str]]:
         """Files a picture was drawn from, with their sha256."""
         ending = f"{self.stage.kind}-{picture.name.rpartition('-')[2]}"
-        return sorted(files_of(self.stage, PICTURE_SOURCES.get(ending, ())).items())
+        sources = PICTURE_SOURCES.get(ending) or PICTURE_SOURCES.get(self.stage.kind, [])
+        return sorted(files_of(self.stage, sources).items())
 
     @property
     def goal_files(self) -> list[tuple[str, str]]:
@@ -112,7 +114,7 @@ def build_chapter(
                 goal_rows(metrics),
                 metrics.get("planners") or [],
                 stage.metrics.get("findings") or [],
-                sensor_rows(metrics),
+                parameter_rows(metrics["parameters"]) if "parameters" in metrics else sensor_rows(metrics),
             )
         )
     return chapter

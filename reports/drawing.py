@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from turtlebag.datasets.bags.reader import read_particles
 from turtlebag.datasets.errors import if_there
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.runlog import RunLog
@@ -16,11 +17,12 @@ from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.figures import animation, maps, runs, series
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.particles import particles
+from turtlebag.reports.figures.robots import EFFECTS_TOLD, draw_plots, effects
 from turtlebag.reports.g2o import read_g2o, read_loops
 from turtlebag.reports.metrics.navigation import collision_episodes
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import shown
-from turtlebag.reports.stages import Group, Stage, read_path
+from turtlebag.reports.stages import Group, Stage, read_json, read_path
 
 SNAPSHOTS = 6
 
@@ -120,6 +122,22 @@ def _add_errors(album: Album, slam: Trajectory, odometry: Trajectory | None, tru
         f"fall again after every turn; the odometry's does not. {series.AXIS_TOLD}"
     )
     album.add("time", "Error over time", caption, draw)
+
+
+def draw_identify(stage: Stage, group: Group, album: Album) -> None:
+    """The data behind the estimates."""
+    if stage.has("plots.json"):
+        draw_plots(read_json(stage.folder / "plots.json"), album)
+
+
+def draw_twin(stage: Stage, group: Group, album: Album) -> None:
+    """What differs, and the map that is the twin's world."""
+    album.add(
+        "effects", "Real beside simulated", EFFECTS_TOLD, effects, stage.metrics.get("quantities") or {}
+    )
+    if stage.has("map/map.yaml"):
+        grid = load_map(stage.folder / "map" / "map.yaml")
+        album.add("map", "World of the twin", "The map of the real drive.", maps.plain_map, grid, {})
 
 
 def source_recording(stage: Stage, record: Stage | None) -> Recording | None:

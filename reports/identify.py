@@ -5,90 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from turtlebag.reports.figures import style
-from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
-
-GROUPS = {
-    "Lidar": (
-        "beams", "angle_min", "angle_increment", "range_min", "range_max", "nearest_return",
-        "farthest_return", "rate", "jitter", "sweep", "first_beam", "stamp_delay", "late_spread", "lidar_x",
-        "lidar_y", "lidar_yaw", "known_offset", "known_square", "sigma", "sigma_square", "angle_deg",
-        "resolution", "lost", "grazing",
-    ),
-    "Wheels": (
-        "wheel_scale", "turn_scale", "turn_per_m", "slip", "turn_slip", "odometry_delay", "encoder_ticks",
-        "command_delay", "max_dv", "max_dw",
-    ),
-    "IMU": ("gyro_scale", "gyro_bias", "gyro_noise", "accelerometer_noise", "accelerometer_bias"),
-}  # fmt: skip
-"""Parameters by the part of the page that shows them."""
-MEANINGS = {
-    "beams": "beams a scan", "angle_min": "angle of the first beam", "angle_increment": "angle between beams",
-    "range_min": "nearest range", "range_max": "farthest range", "nearest_return": "nearest return seen",
-    "farthest_return": "farthest return seen", "rate": "scans a second",
-    "jitter": "jitter of the period, a share",
-    "sweep": "time of a sweep, in periods", "first_beam": "beam that is taken first",
-    "stamp_delay": "delay of the stamp after the first beam",
-    "late_spread": "spread of that delay, end to end",
-    "lidar_x": "lidar ahead of the base", "lidar_y": "lidar left of the base",
-    "lidar_yaw": "yaw of the lidar",
-    "known_offset": "offset of the ranges", "known_square": "error that grows with the square of the range",
-    "sigma": "noise of a range", "sigma_square": "noise that grows with the square of the range",
-    "angle_deg": "noise of a beam's direction", "resolution": "step of the readings",
-    "lost": "share of lost beams", "grazing": "cosine of incidence at which many beams are lost",
-    "wheel_scale": "true way by that of the odometry", "turn_scale": "true turn by that of the odometry",
-    "turn_per_m": "turn for each metre that the odometry does not see",
-    "slip": "random slip of a wheel after a metre", "turn_slip": "random slip in turning after a radian",
-    "odometry_delay": "delay of the odometry after the scans", "encoder_ticks": "ticks of a wheel's turn",
-    "command_delay": "delay of commands", "max_dv": "acceleration", "max_dw": "turning acceleration",
-    "gyro_scale": "true turn by that of the gyro", "gyro_bias": "bias of the gyro",
-    "gyro_noise": "noise of a gyro sample", "accelerometer_noise": "noise of an accelerometer sample",
-    "accelerometer_bias": "bias of the accelerometer",
-}  # fmt: skip
-
-
-def draw_plots(plots: Mapping[str, Any], album: Album) -> None:
-    """A picture of each."""
-    for name, plot in plots.items():
-        album.add(name, plot.title, plot.caption, data_plot, plot)
-
-
-def data_plot(plot: Any) -> Figure:
-    """Dots of data and lines of what was fitted, in one colour where they have one name.
-
-    `plot` has `points` and `lines`, x and y (n,) by name, and the axes' labels `x` and `y`.
-    """
-    figure = style.new_figure(2.9)
-    axes = figure.subplots()
-    names = list(dict.fromkeys([*plot.points, *plot.lines]))
-    colours = {name: style.series_colour(k) for k, name in enumerate(names)}
-    for name, (x, y) in plot.points.items():
-        few = slice(None, None, max(1, len(x) // 1200))
-        axes.plot(x[few], y[few], "o", color=colours[name], markersize=2.5, alpha=0.7, label=name)
-    for name, (x, y) in plot.lines.items():
-        label = None if name in plot.points else name
-        axes.plot(x, y, color=colours[name], linewidth=1.3, label=label)
-    axes.set_xlabel(plot.x)
-    axes.set_ylabel(plot.y)
-    if len(names) > 1:
-        axes.legend()
-    return figure
+from turtlebag.reports.parameters import GROUPS, MEANINGS, value_and_interval
 
 
 def identify_page(
     source: str,
-    base: str,
-    parameters: Mapping[str, Mapping[str, Any]],
+    record: Mapping[str, Any],
     pictures: Sequence[object],
+    data: Mapping[str, str],
     others: Mapping[str, str],
 ) -> str:
-    """The page as HTML text, of the entries of identify.json; `others` are files for other programs."""
+    """The page as HTML text, of identify.json; `data` names the picture of the data behind each parameter,
+    `others` are files for other programs."""
+    parameters = record["parameters"]
     groups = {
         title: [
-            (MEANINGS[name], name, parameters[name], _value(parameters[name]))
+            (MEANINGS[name], name, parameters[name], value_and_interval(parameters[name]))
             for name in names
             if name in parameters
         ]
@@ -96,15 +29,6 @@ def identify_page(
     }
     shown = sum(entry["observable"] for entry in parameters.values())
     return fill(
-        "identify.html.j2", source=source, base=base, groups=groups, pictures=pictures, others=others,
-        shown=shown, total=len(parameters),
+        "identify.html.j2", source=source, record=record, groups=groups, pictures=pictures, data=data,
+        others=others, shown=shown, total=len(parameters),
     )  # fmt: skip
-
-
-def _value(entry: Mapping[str, Any]) -> tuple[str, str]:
-    """Value and interval as text, with as many digits as the interval has."""
-    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-    low, high = entry.get("interval_95", (entry["value"], entry["value"]))
-    digits = 6 if high <= low else 3
-    text = f"{entry['value']:.{max(digits, 4)}g}{unit}"
-    return text, "" if high <= low else f"{low:.4g} to {high:.4g}"

@@ -8,7 +8,15 @@ from operator import attrgetter
 from typing import Any
 
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.drawing import draw_localise, draw_map, draw_plan, draw_record, draw_run
+from turtlebag.reports.drawing import (
+    draw_identify,
+    draw_localise,
+    draw_map,
+    draw_plan,
+    draw_record,
+    draw_run,
+    draw_twin,
+)
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.navigation import goal_counts
 from turtlebag.reports.metrics.trajectory import recording_metrics
@@ -16,11 +24,13 @@ from turtlebag.reports.stages import Group, Stage
 from turtlebag.reports.verdicts import (
     Metrics,
     Verdict,
+    identify_verdict,
     localise_verdict,
     map_verdict,
     plan_verdict,
     record_verdict,
     run_verdict,
+    twin_verdict,
 )
 
 
@@ -43,6 +53,8 @@ KINDS = {
     "localise": Kind(
         "Localisation", "localisation", localise_verdict, draw_localise, "AMCL's estimates", _ESTIMATE
     ),
+    "identify": Kind("Robot", "robot", identify_verdict, draw_identify, "", lambda stage: None),
+    "twin": Kind("Twin", "twin", twin_verdict, draw_twin, "", lambda stage: None),
     "plan": Kind("Planning", "plan", plan_verdict, draw_plan, "The plans", _PLAN),
     "navigate": Kind("Navigation", "task", run_verdict, draw_run, "True paths", _TRUTH),
 }

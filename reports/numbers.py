@@ -13,6 +13,8 @@ from turtlebag.reports.stages import Stage
 DASH = "\u2013"
 LARGEST = 1e60
 """Its fourth power, as in the spread of a difference, is still a number."""
+IN_TABLES = ("goals.", "planners.", "findings.", "sensors.", "parameters.")
+"""Metrics that have a table of their own."""
 
 
 class Unit(NamedTuple):
@@ -146,7 +148,7 @@ def other_values(stage: Stage, metrics: Mapping[str, Any]) -> list[tuple[str, st
     return [
         (path, DASH if value is None else f"{value:.6g}" if isinstance(value, float) else str(value))
         for path, value in leaves(metrics)
-        if path not in named and not path.startswith(("goals.", "planners.", "findings.", "sensors."))
+        if path not in named and not path.startswith(IN_TABLES)
     ]
 
 

@@ -296,11 +296,27 @@ def load_stage(folder: Path) -> Stage:
     return Stage(folder, kind, kind, manifest)
 
 
+class _Parameter(BaseModel):
+    value: float
+    unit: str
+    observable: bool
+    interval_95: tuple[float, float] = (0.0, 0.0)
+    why: str = ""
+
+
+class _Quantity(BaseModel):
+    label: str
+    told_apart: bool
+    cliffs_delta: float
+
+
 class _Metrics(BaseModel):
     """The part of a metrics.json that is more than numbers by name."""
 
     goals: list[dict[str, Any]] | None = None
     planners: list[dict[str, Any]] | None = None
+    parameters: dict[str, _Parameter] | None = None
+    quantities: dict[str, _Quantity] | None = None
 
 
 def read_manifest(path: Path) -> Manifest:

@@ -65,6 +65,20 @@ def _goals_sentence(goals: Sequence[Metrics]) -> str:
     return f"{reached} of {len(goals)} goals reached" + (f" ({'; '.join(asides)})" if asides else "")
 
 
+def identify_verdict(metrics: Metrics, odometry_m: float | None) -> Verdict:
+    """Of a robot: how much of it shows."""
+    total = len(metrics.get("parameters") or {})
+    return NEUTRAL, f"{metrics.get('observable', '?')} of {total} parameters are shown by the recording."
+
+
+def twin_verdict(metrics: Metrics, odometry_m: float | None) -> Verdict:
+    """Of a twin: what differs from the real drive, the largest first."""
+    known = metrics.get("quantities") or {}
+    labels = [one["label"] for one in known.values() if one["told_apart"]]
+    most = f", most of all: {', '.join(labels[:3])}" if labels else ""
+    return NEUTRAL, f"Real and simulated differ in {len(labels)} of {len(known)} quantities{most}."
+
+
 def map_verdict(metrics: Metrics, odometry_m: float | None) -> Verdict:
     """Of a map; `odometry_m` is the error that it had to put right."""
     scans = metrics.get("scans", "?")

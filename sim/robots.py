@@ -125,8 +125,8 @@ class LidarErrors(Settings):
     @field_validator("stamp_delay")
     @classmethod
     def _in_order(cls, delay: tuple[float, float]) -> tuple[float, float]:
-        if delay[1] < delay[0] or delay[1] > 0.1:
-            raise ValueError("from and to in seconds, 0.1 at most")
+        if delay[1] < delay[0] or delay[1] > 0.2:
+            raise ValueError("from and to in seconds, 0.2 at most")
         return delay
 
 
@@ -141,8 +141,8 @@ class Lidar(Settings):
     range_min: Positive
     range_max: Positive
     rate_hz: Positive
-    sweep: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-    """Share of a turn during which beams are taken."""
+    sweep: Annotated[float, Field(ge=-1.0, le=1.0)] = 1.0
+    """Share of a turn during which beams are taken; negative: in the opposite order, from the last one on."""
     errors: LidarErrors = LidarErrors()
 
     def spec(self, turning: bool, rate_hz: float | None = None) -> LidarSpec:

@@ -13,13 +13,15 @@ from turtlebag.datasets.se2 import Array
 
 # Parts of a drive that are left out one at a time, to see how much a number varies.
 PARTS = 16
+# Values of a series that are drawn.
+DRAWN = 1200
 
 
 @dataclass(frozen=True)
 class Estimate:
     """A parameter: its value and standard deviation in `unit`, the equation that gives it, and `why` the bag
     does not show it (then the value is that of the base robot, or assumed). `freedom` are the degrees of
-    freedom of the deviation; a `positive` one cannot be below zero. `figure` is the key of its plot."""
+    freedom of the deviation; a `positive` one cannot be below zero."""
 
     name: str
     value: float
@@ -29,7 +31,6 @@ class Estimate:
     why: str = ""
     freedom: float = np.inf
     positive: bool = False
-    figure: str = ""
 
     @property
     def observable(self) -> bool:
@@ -66,14 +67,28 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Plot:
-    """The data behind some estimates: series of x and y, `points` as dots and `lines` as what was fitted."""
+    """The data behind the estimates `of` these names: series of x and y, `points` as dots and `lines` as what
+    was fitted."""
 
+    of: tuple[str, ...]
     title: str
     caption: str
     x: str
     y: str
     points: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     lines: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+
+    def as_record(self) -> dict[str, Any]:
+        """Its entry in plots.json: series by name, x and y, no more than `DRAWN` of each."""
+        told: dict[str, Any] = {name: getattr(self, name) for name in ("of", "title", "caption", "x", "y")}
+        for kind, series in (("points", self.points), ("lines", self.lines)):
+            told[kind] = {
+                name: [
+                    [float(f"{one:.5g}") for one in values[:: max(1, len(values) // DRAWN)]] for values in xy
+                ]
+                for name, xy in series.items()
+            }
+        return told
 
 
 @dataclass

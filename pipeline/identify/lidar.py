@@ -28,10 +28,12 @@ EXACT_S, KNOWN = 1e-5, 1.0
 SCANS, ENOUGH, FACTOR = 1500, 60, 1.25
 # Beams are on one wall if those around agree as well as this many of their usual differences.
 ON_ONE_WALL = 3.0
+# Beams graze a wall at cosines of less than this; how many are lost there is known no better than this.
+GRAZED, LEAST_GRAZING = 0.1, 0.002
 # Walls are met across at cosines of more than this; directions of beams may be off by this [rad].
 ACROSS, ASIDE_RAD = 0.7, 0.002
 # Not all that looks like a wall is one: by so large a share each number may be wrong for it.
-MODEL, LOST_MODEL = np.array([0.01, 0.015, 0.03]), np.array([0.02, 0.03])
+MODEL, LOST_MODEL = np.array([0.004, 0.004, 0.015]), np.array([0.02, 0.01])
 # Variance of a unit Gaussian that is cut at three standard deviations; units of the file by those of the fit.
 TRUNCATED, TO_FIT = 0.97334, np.array([1.0, 1.0, np.rad2deg(1.0)])
 # Steps of the readings that are looked for [m].
@@ -165,7 +167,7 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
         found.estimates.append(
             unknown(name, value if np.isfinite(sigma) else getattr(base, name), unit, NOISE_EQUATION, why)
             if why
-            else Estimate(name, value, sigma, unit, NOISE_EQUATION, "", freedom, True, "noise")
+            else Estimate(name, value, sigma, unit, NOISE_EQUATION, "", freedom, True)
         )
     _plot_noise(whole, columns, slant, np.sqrt(columns @ np.square(values / TO_FIT) + step**2 / 12.0), found)
 
@@ -197,7 +199,7 @@ def _plot_noise(whole: Array, columns: Array, slant: Array, model: Array, found:
     label = ("across", "slanting", "more slanting", "grazing")
     rows = {label[s]: np.flatnonzero(slant == s) for s in range(4) if (slant == s).any()}
     found.plots["noise"] = Plot(
-        "Noise of the ranges",
+        ("sigma", "sigma_square", "angle_deg"), "Noise of the ranges",
         "Standard deviation of a beam from what its neighbours on one wall say; lines: the fit.",
         "range [m]", "standard deviation [mm]",
         {name: (x[k], 1e3 * seen[k]) for name, k in rows.items()},
@@ -238,24 +240,25 @@ def _lost(walls: Walls, part: NDArray[np.int64], base: LidarErrors, found: Findi
     values, sigmas, freedom = jackknife(np.stack([seen, lost], axis=1).astype(float), fitted)
     whole, gone = seen.sum(axis=0), lost.sum(axis=0)
     # what the counts alone leave open, where no part lost a beam
-    sigmas = np.maximum(sigmas, [np.sqrt(max(gone.sum(), 1.0)) / whole.sum(), 0.0])
+    sigmas = np.maximum(sigmas, [np.sqrt(max(gone.sum(), 1.0)) / whole.sum(), LEAST_GRAZING])
     sigmas = np.hypot(sigmas, LOST_MODEL * values)
     found.estimates.append(
-        Estimate("lost", float(values[0]), float(sigmas[0]), "1", LOST_EQUATION, "", freedom, True, "lost")
+        Estimate("lost", float(values[0]), float(sigmas[0]), "1", LOST_EQUATION, "", freedom, True)
     )
-    few = values[1] < 0.01 or sigmas[1] > 0.3 * values[1]
+    # one that hardly loses them is told by many beams that graze and come back
+    grazed = seen[:, : len(edges[edges < GRAZED])].sum()
+    few = sigmas[1] > (0.3 * values[1] if grazed < ENOUGH else GRAZED)
     found.estimates.append(
         unknown("grazing", base.grazing, "1", LOST_EQUATION, "too few beams met walls at grazing angles")
         if few
-        else Estimate(
-            "grazing", float(values[1]), float(sigmas[1]), "1", LOST_EQUATION, "", freedom, True, "lost"
-        )
+        else Estimate("grazing", float(values[1]), float(sigmas[1]), "1", LOST_EQUATION, "", freedom, True)
     )
     ok = whole >= ENOUGH
     angle = np.rad2deg(np.arccos(np.clip(centre, 0.0, 1.0)))
     model = 1.0 - (1.0 - values[0]) * (1.0 - np.exp(-np.maximum(centre, 1e-3) / values[1]))
     found.plots["lost"] = Plot(
-        "Lost beams by incidence", "Share of missing beams between returns of one wall; line: the fit.",
+        ("lost", "grazing"), "Lost beams by incidence",
+        "Share of missing beams between returns of one wall; line: the fit.",
         "angle to the surface's normal [deg]", "lost [%]",
         {"lost": (angle[ok], 100.0 * gone[ok] / whole[ok])}, {"fit": (angle[ok], 100.0 * model[ok])},
     )  # fmt: skip
@@ -268,7 +271,7 @@ def _lost_by_range(walls: Walls, found: Findings) -> None:
     x = np.array([np.median(walls.expected[bins == k]) for k in kinds])
     y = np.array([100.0 * walls.lost[bins == k].mean() for k in kinds])
     found.plots["lost_by_range"] = Plot(
-        "Lost beams by range", "Share of beams without a return between returns of one wall.",
+        (), "Lost beams by range", "Share of beams without a return between returns of one wall.",
         "range [m]", "lost [%]", {"lost": (x, y)},
     )  # fmt: skip
 
@@ -296,7 +299,8 @@ def _turns(recording: Recording, base: LidarErrors, found: Findings) -> None:
     found.estimates += _periods(usual, period)
     counts, edges = np.histogram(1e3 * usual, bins=40)
     found.plots["stamps"] = Plot(
-        "Times between scans", "How often each time from one stamp to the next came.",
+        ("rate", "jitter", "late_spread"), "Times between scans",
+        "How often each time from one stamp to the next came.",
         "time [ms]", "scans", {"scans": (0.5 * (edges[1:] + edges[:-1]), counts.astype(float))},
     )  # fmt: skip
 
@@ -311,7 +315,7 @@ def _periods(gaps: Array, period: float) -> list[Estimate]:
     (off,), covariance = walk.coefficients()
     rate = 1.0 / (period * (1.0 + float(off)))
     sigma, freedom = rate * float(covariance[0, 0]) ** 0.5, len(gaps)
-    found = [Estimate("rate", rate, sigma, "Hz", STAMPS_EQUATION, "", freedom, True, "stamps")]
+    found = [Estimate("rate", rate, sigma, "Hz", STAMPS_EQUATION, "", freedom, True)]
     values = np.exp(0.5 * walk.logs) * [1.0, np.sqrt(12.0) * period]
     for name, unit, value, of_log in zip(
         ("jitter", "late_spread"), ("1", "s"), values.tolist(), walk.deviations(), strict=True
@@ -320,13 +324,12 @@ def _periods(gaps: Array, period: float) -> list[Estimate]:
             Estimate(
                 name,
                 value,
-                0.5 * float(np.hypot(of_log, 0.2)) * value,
+                0.5 * float(np.hypot(of_log, 0.05)) * value,
                 unit,
                 STAMPS_EQUATION,
                 "",
                 np.inf,
                 True,
-                "stamps",
             )
             if of_log < KNOWN
             else unknown(name, 0.0, unit, STAMPS_EQUATION, "less than shows beside the stamps' other error")

@@ -15,6 +15,8 @@ Commands = tuple[Stamps, Array, Array]
 EQUATION = "speed(t + dt) = speed(t) + clip(command(t - delay) - speed(t), +-acceleration dt)"
 DELAYS_S = np.arange(0.0, 0.605, 0.01)
 STEPS = 28
+# An acceleration is known to no better than this share of a step.
+FLOORS = {"max_dv": 0.04, "max_dw": 0.1}
 # Commands that change by this share of the largest count as changes; so many are needed.
 CHANGE, ENOUGH = 0.1, 5
 
@@ -40,12 +42,14 @@ def motor_findings(recording: Recording, commands: Commands | None, limits: Limi
     _delay(parts, changes, float(np.median(dt)), limits, found)
     best = int(np.argmin(sum(part.sum(axis=0).min(axis=1) for part in parts)))
     for (name, unit, usual), part, (after, _), often in zip(kinds, parts, wanted, changes, strict=True):
-        _acceleration(name, unit, usual, part[:, best], after, often, found)
+        floor = FLOORS[name] * np.log(after[1] / after[0])
+        _acceleration(name, unit, usual, part[:, best], after, often, floor, found)
     which = int(changes[1] > changes[0])
     first = int(np.argmax(np.abs(np.diff(wanted[which][1][best], prepend=0.0)) > 0.0)) if len(dt) else 0
     some = slice(max(first - 30, 0), first + 300)
     found.plots["command"] = Plot(
-        "Commands and speed", "Ten seconds: the speed by odometry follows the command, as late as it is.",
+        ("command_delay", "max_dv", "max_dw"), "Commands and speed",
+        "Ten seconds: the speed by odometry follows the command, as late as it is.",
         "time [s]", ("forward [m/s]", "turning [rad/s]")[which], {},
         {"command": (times[some] - times[0], wanted[which][1][0][some]),
          "odometry": (times[some] - times[0], speeds[which][some])},
@@ -107,9 +111,7 @@ def _delay(parts: list[Array], changes: list[int], every_s: float, limits: Limit
     # between two commands or two readings of the speed, any delay is as good
     width = max(_middle(both.sum(axis=0))[1], every_s)
     sigma = float(np.hypot(sigmas[0], 0.6 * width / 1.96))
-    found.estimates.append(
-        Estimate("command_delay", float(values[0]), sigma, "s", EQUATION, "", freedom, figure="command")
-    )
+    found.estimates.append(Estimate("command_delay", float(values[0]), sigma, "s", EQUATION, "", freedom))
 
 
 def _middle(cost: Array) -> tuple[float, float]:
@@ -120,7 +122,7 @@ def _middle(cost: Array) -> tuple[float, float]:
 
 
 def _acceleration(
-    name: str, unit: str, usual: float, part: Array, after: Array, often: int, found: Findings
+    name: str, unit: str, usual: float, part: Array, after: Array, often: int, floor: float, found: Findings
 ) -> None:
     def fitted(cost: Array) -> Array:
         k = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
@@ -132,7 +134,7 @@ def _acceleration(
     values, sigmas, freedom = jackknife(part, fitted)
     whole = part.sum(axis=0)
     limited = whole[-1] > 1.3 * whole.min()
-    sigma = float(np.hypot(sigmas[0], 0.1 * np.log(after[1] / after[0])))
+    sigma = float(np.hypot(sigmas[0], floor))
     why = (
         "the commands hardly change" if often < ENOUGH
         else "the speeds follow the commands at once" if not limited
@@ -143,5 +145,5 @@ def _acceleration(
     found.estimates.append(
         unknown(name, usual, unit, EQUATION, why)
         if why
-        else Estimate(name, value, sigma * value, unit, EQUATION, "", freedom, True, "command")
+        else Estimate(name, value, sigma * value, unit, EQUATION, "", freedom, True)
     )

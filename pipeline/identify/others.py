@@ -15,7 +15,7 @@ NOISE_EQUATION = "sigma = |w(k-1) - 2 w(k) + w(k+1)| by the median, over sqrt(6)
 STILL_EQUATION = "mean of the readings while the odometry stands still"
 ENOUGH = 200
 # Share by which motion may raise the noise.
-MOTION = 0.02
+MOTION = {"gyro_noise": 0.014, "accelerometer_noise": 0.02}
 
 
 def imu_findings(recording: Recording, base: ImuMount) -> Findings:
@@ -35,44 +35,54 @@ def imu_findings(recording: Recording, base: ImuMount) -> Findings:
     for (name, unit, usual), values in zip(
         noises, (imu.angular_velocity, imu.linear_acceleration), strict=True
     ):
-        found.estimates.append(_noise(name, unit, usual, values))
-    found.estimates.append(_bias(recording, imu, base))
-    some = slice(None, None, max(1, len(imu.stamps_ns) // 1500))
-    times = (imu.stamps_ns - imu.stamps_ns[0]) * 1e-9
-    found.plots["imu"] = Plot(
-        "Gyro", "Turning rate about the vertical axis.", "time [s]", "rate [rad/s]",
-        {}, {"gyro": (times[some], imu.angular_velocity[some, 2])},
-    )  # fmt: skip
+        _noise(name, unit, usual, values, found)
+    _bias(recording, imu, base, found)
     return found
 
 
-def _noise(name: str, unit: str, usual: float, values: Array) -> Estimate:
+def _noise(name: str, unit: str, usual: float, values: Array, found: Findings) -> None:
     """By second differences, which slow motion does not show in, of each axis in each part of the log."""
     e = (values[:-2] - 2.0 * values[1:-1] + values[2:]) / np.sqrt(6.0)
     parts = [part for part in np.array_split(e, 4 * PARTS) if len(part) > 10]
     of_parts = np.array([[float(sigma_by_median(axis)) for axis in part.T] for part in parts])
     alive = np.median(of_parts, axis=0) > 0.0
     if not alive.any():
-        return unknown(name, usual, unit, NOISE_EQUATION, "its readings do not vary")
+        found.estimates.append(unknown(name, usual, unit, NOISE_EQUATION, "its readings do not vary"))
+        return
     # parts in which it starts, stops and turns have more of it: the usual one has not
     each = np.sqrt((of_parts[:, alive] ** 2).mean(axis=1))
     value = float(np.median(each))
     sigma = 1.25 * float(sigma_by_median(each - value)) / np.sqrt(len(each))
-    sigma = float(np.hypot(sigma, MOTION * value))
-    return Estimate(name, value, sigma, unit, NOISE_EQUATION, "", len(each) - 1, True, "imu")
+    sigma = float(np.hypot(sigma, MOTION[name] * value))
+    found.estimates.append(Estimate(name, value, sigma, unit, NOISE_EQUATION, "", len(each) - 1, True))
+    time = np.linspace(0.0, 100.0, len(each))
+    sensor = name.split("_")[0]
+    found.plots[name] = Plot(
+        (name,), f"Noise of the {sensor}", "In each part of the drive; line: the usual one.",
+        "part of the drive [%]", f"noise of a sample [{unit}]",
+        {sensor: (time, each)}, {"estimate": (time[[0, -1]], np.array([value, value]))},
+    )  # fmt: skip
 
 
-def _bias(recording: Recording, imu: ImuLog, base: ImuMount) -> Estimate:
+def _bias(recording: Recording, imu: ImuLog, base: ImuMount, found: Findings) -> None:
     spans = still(recording)
     rows = [(imu.stamps_ns >= a) & (imu.stamps_ns < b) for a, b in spans]
     means = np.array([imu.linear_acceleration[row][:, :2].mean(axis=0) for row in rows if row.sum() > 20])
     if not len(means):
-        return unknown(
-            "accelerometer_bias", base.accelerometer_bias, "m/s^2", STILL_EQUATION, "it never stood still"
+        why = "it never stood still"
+        found.estimates.append(
+            unknown("accelerometer_bias", base.accelerometer_bias, "m/s^2", STILL_EQUATION, why)
         )
+        return
     size = float(np.hypot(*means.mean(axis=0))) / np.sqrt(2.0)
     # two axes tell a standard deviation of biases to within half of it
-    return Estimate("accelerometer_bias", size, 0.5 * size, "m/s^2", STILL_EQUATION, "", np.inf, True, "imu")
+    found.estimates.append(
+        Estimate("accelerometer_bias", size, 0.5 * size, "m/s^2", STILL_EQUATION, "", np.inf, True)
+    )
+    found.plots["accelerometer_bias"] = Plot(
+        ("accelerometer_bias",), "Bias of the accelerometer", "Means of its readings at each standstill.",
+        "ahead [m/s^2]", "to the left [m/s^2]", {"standstills": (means[:, 0], means[:, 1])},
+    )  # fmt: skip
 
 
 def encoder_findings(positions: Array | None, base_ticks: int) -> Findings:

@@ -10,6 +10,7 @@ import numpy as np
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.types import Recording
+from turtlebag.datasets.yaml_files import checked
 from turtlebag.sim.robots import CONTROL_HZ, RobotSpec
 
 # AMCL moves its particles after this much driving [m] and turning [rad] (Nav2's update_min_d, update_min_a).
@@ -17,12 +18,12 @@ UPDATE_M, UPDATE_RAD = 0.25, 0.2
 # No alpha below this: a filter whose particles do not spread cannot recover.
 LEAST_ALPHA = 1e-3
 # Limits of the simulator.
-LONGEST_DELAY_S, MOST_JITTER, MOST_SLIP, MOST_TURN_SLIP = 0.1, 0.05, 0.1, 0.5
+LONGEST_DELAY_S, MOST_JITTER, MOST_SLIP, MOST_TURN_SLIP = 0.2, 0.05, 0.1, 0.5
 
 
 def robot_of(values: Mapping[str, float], recording: Recording, base: RobotSpec) -> RobotSpec:
     """The robot with such parameters; what is not among them is the base robot's. Where the simulator has
-    limits, they hold."""
+    limits, they hold; InputError where it would be no robot at all."""
     wheels = base.wheels
     scale, turn_scale = values["wheel_scale"], values["turn_scale"]
     own_wheels = {
@@ -51,7 +52,7 @@ def robot_of(values: Mapping[str, float], recording: Recording, base: RobotSpec)
     told |= {"name": f"{base.name}_identified", "lidar": _lidar(values, base)}
     for part, changed in (("wheels", own_wheels), ("limits", limits), ("imu", imu)):
         told[part] = {**told[part], **changed}
-    return RobotSpec.model_validate(told)
+    return checked(RobotSpec, told, where=f"{recording.source}: its robot")
 
 
 def _lidar(values: Mapping[str, float], base: RobotSpec) -> dict[str, Any]:
@@ -78,7 +79,7 @@ def _lidar(values: Mapping[str, float], base: RobotSpec) -> dict[str, Any]:
         "range_min": max(values["range_min"], 1e-3),
         "range_max": values["range_max"] if math.isfinite(values["range_max"]) else base.lidar.range_max,
         "rate_hz": CONTROL_HZ / max(round(CONTROL_HZ / max(values["rate"], 0.1)), 1),
-        "sweep": min(max(abs(values["sweep"]), 0.01), 1.0),
+        "sweep": _within(values["sweep"], 1.0),
         "errors": errors,
     }
 

@@ -21,9 +21,12 @@ GYRO_EQUATION = "turn(map) = gyro_scale (turn(gyro) - gyro_bias time)"
 TURN_EQUATION = (
     "turn(map) = turn_scale turn(odom) + turn_per_m way + odometry_delay (rate at end - rate at start)"
 )
-# Steps of the map that are compared are this far apart [s]; residuals of more than so many deviations are
+# Steps of the map that are compared are this far apart [s]. Odometry whose heading goes astray in each turn
+# and comes back after it is no random walk: then steps as long as the second one show another scale.
+APART_S, LONG_S = 0.4, 5.0
+# Scales that differ by so many deviations are not the same; residuals of more than so many deviations are
 # wheels that spin, which is another error.
-APART_S, SPUN = 0.4, 8.0
+ANOTHER, SPUN = 3.0, 8.0
 # Half of the time over which the turning rate is taken [s].
 AROUND_S = 0.05
 # A scan is bent by a change of the rate from this long before it to this long after [s].
@@ -32,8 +35,8 @@ BENT_S = 0.15
 KNOWN = 1.0
 # Errors of a map are neither white nor a walk. What that does to the logarithms of both variances, to scale,
 # bias and delay of the turns, and to scale and bias of a gyro, as the robots of `make bench-twin` have it.
-MODEL = np.array([0.15, 0.6])
-TURNS_MODEL, GYRO_MODEL = np.array([0.0025, 0.001, 0.0028]), np.array([0.0006, 3e-5])
+MODEL = np.array([0.15, 0.3])
+TURNS_MODEL, GYRO_MODEL = np.array([0.0017, 0.001, 0.0028]), np.array([0.0006, 1e-5])
 
 
 def wheel_findings(recording: Recording, T_map_base: SE2, wheels: Wheels) -> Findings:
@@ -44,13 +47,33 @@ def wheel_findings(recording: Recording, T_map_base: SE2, wheels: Wheels) -> Fin
     The turns of the odometry are explained by those of the map, not the other way round: who steers keeps the
     true heading, so slip shows in the odometry's.
     """
+    found, track = Findings(), 2.0 * wheels.joint_y
+    walk, longer = (_turns(recording, T_map_base, track, apart_s) for apart_s in (APART_S, LONG_S))
+    if walk is None:
+        _nothing(wheels, found, "too short a drive")
+        return found
+    walk = walk if longer is None or not _contradict(walk, longer) else longer
+    _slips(walk, track, wheels, found)
+    _systematic(walk, found)
+    _plots(walk, found)
+    return found
+
+
+def _contradict(walk: RandomWalk, longer: RandomWalk) -> bool:
+    """Whether longer steps show another scale of the turns (Hausman 1978)."""
+    (of_short, short), (of_long, long) = walk.coefficients(), longer.coefficients()
+    deviation = float(np.sqrt(short[0, 0] + long[0, 0] + TURNS_MODEL[0] ** 2))
+    return abs(float(of_short[0] - of_long[0])) > ANOTHER * deviation
+
+
+def _turns(recording: Recording, T_map_base: SE2, track: float, apart_s: float) -> RandomWalk | None:
+    """The turns of the odometry less those of the map, over steps so far apart; None of too few."""
     assert recording.T_odom_base is not None
-    rows, found = _apart(recording.stamps_ns), Findings()
+    rows = _apart(recording.stamps_ns, apart_s)
     map_steps, steps = T_map_base[rows].steps(), recording.T_odom_base[rows].steps()
     rate = _rates(recording, recording.stamps_ns[rows])
     y = wrap(steps[:, 2] - map_steps[:, 2])
     design = np.column_stack([map_steps[:, 2], steps[:, 0], np.diff(rate)])
-    track = 2.0 * wheels.joint_y
     swing = 0.5 * track * map_steps[:, 2]
     ways, turns = np.abs(steps[:, 0] - swing) + np.abs(steps[:, 0] + swing), np.abs(map_steps[:, 2])
     ok = without_gap(seconds(np.diff(recording.stamps_ns[rows])))
@@ -58,13 +81,8 @@ def wheel_findings(recording: Recording, T_map_base: SE2, wheels: Wheels) -> Fin
         left = y - design @ np.linalg.lstsq(design[ok], y[ok], rcond=None)[0]
         ok &= np.abs(left) < SPUN * max(float(sigma_by_median(left[ok])), 1e-4)
     if np.count_nonzero(ok) < 40:
-        _nothing(wheels, found, "too short a drive")
-        return found
-    walk = RandomWalk(y, design, np.column_stack([ways, turns]), _readings(recording, rows, rate), ok)
-    _slips(walk, track, wheels, found)
-    _systematic(walk, found)
-    _plots(walk, found)
-    return found
+        return None
+    return RandomWalk(y, design, np.column_stack([ways, turns]), _readings(recording, rows, rate), ok)
 
 
 def _readings(recording: Recording, rows: Array, rate: Array) -> Array:
@@ -82,7 +100,7 @@ def gyro_findings(recording: Recording, T_map_base: SE2, bias: float) -> Finding
         return Findings(
             [unknown(name, usual, unit, GYRO_EQUATION, "no IMU") for name, unit, usual, _ in names]
         )
-    rows = _apart(recording.stamps_ns)
+    rows = _apart(recording.stamps_ns, APART_S)
     stamps, turns = recording.stamps_ns[rows], T_map_base[rows].steps()[:, 2]
     by_gyro, known = GyroTurns(recording.imu).turns(stamps)
     waits, rate = seconds(np.diff(stamps)), _rates(recording, stamps)
@@ -95,6 +113,7 @@ def gyro_findings(recording: Recording, T_map_base: SE2, bias: float) -> Finding
     design = np.column_stack([turns, waits, np.diff(rate)])
     y, readings = wrap(sign * by_gyro - turns), _readings(recording, rows, rate)
     walk = RandomWalk(y, design, np.column_stack([waits, np.abs(turns)]), readings, ok)
+    found = Findings()
     (turned, drifted, _), covariance = walk.coefficients()
     scale, sigmas = (
         1.0 / (1.0 + float(turned)),
@@ -102,12 +121,23 @@ def gyro_findings(recording: Recording, T_map_base: SE2, bias: float) -> Finding
     )
     values = (scale, scale**2 * sigmas[0]), (sign * float(drifted), sigmas[1])
     turn = float(np.abs(turns).sum())
-    return Findings([
+    found.estimates += [
         Estimate(name, value, sigma, unit, GYRO_EQUATION)
         if sigma < most
         else unknown(name, usual, unit, GYRO_EQUATION, f"it turned by only {turn:.1f} rad")
         for (name, unit, usual, most), (value, sigma) in zip(names, values, strict=True)
-    ])  # fmt: skip
+    ]
+    found.plots["gyro_turns"] = _partial(
+        walk, 0, ("gyro_scale",), "Scale of the gyro", "turn by the map [rad]"
+    )
+    left = walk.y - walk.design[:, [0, 2]] @ walk.coefficients()[0][[0, 2]]
+    time = np.cumsum(waits)
+    found.plots["gyro_bias"] = Plot(
+        ("gyro_bias",), "Bias of the gyro", "Turn of the gyro less that of the map, summed; line: the bias.",
+        "time [s]", "heading [deg]", {}, {"gyro": (time, np.rad2deg(np.cumsum(np.where(ok, left, 0.0)))),
+        "bias": (time[[0, -1]], np.rad2deg(float(drifted) * time[[0, -1]]))},
+    )  # fmt: skip
+    return found
 
 
 def _systematic(walk: RandomWalk, found: Findings) -> None:
@@ -126,7 +156,7 @@ def _systematic(walk: RandomWalk, found: Findings) -> None:
     ):  # fmt: skip
         shown = sigma < most
         found.estimates.append(
-            Estimate(name, value, sigma, unit, TURN_EQUATION, figure="delay")
+            Estimate(name, value, sigma, unit, TURN_EQUATION)
             if shown
             else unknown(name, usual, unit, TURN_EQUATION, why)
         )
@@ -145,7 +175,7 @@ def _slips(walk: RandomWalk, track: float, wheels: Wheels, found: Findings) -> N
     ):
         usual = getattr(wheels, name)
         found.estimates.append(
-            Estimate(name, value, 0.5 * float(of_log) * value, unit, SLIP_EQUATION, "", np.inf, True, "slip")
+            Estimate(name, value, 0.5 * float(of_log) * value, unit, SLIP_EQUATION, "", np.inf, True)
             if of_log < KNOWN
             else unknown(name, ASSUMED[name] if usual is None else usual, unit, SLIP_EQUATION, why)
         )
@@ -169,11 +199,11 @@ def _nothing(wheels: Wheels, found: Findings, why: str) -> None:
         found.estimates.append(unknown(name, usual, unit, TURN_EQUATION, why))
 
 
-def _apart(stamps_ns: Stamps) -> Array:
-    """Scans, in order of time, at least APART_S apart."""
+def _apart(stamps_ns: Stamps, apart_s: float) -> Array:
+    """Scans, in order of time, one in each span of so long."""
     order = np.argsort(stamps_ns, kind="stable")
     times = seconds(stamps_ns[order] - stamps_ns[order[0]])
-    bins = np.floor(times / APART_S)
+    bins = np.floor(times / apart_s)
     return np.asarray(order[np.append(True, np.diff(bins) > 0)])
 
 
@@ -191,18 +221,30 @@ def _rates(recording: Recording, stamps_ns: Stamps) -> Array:
 
 def _plots(walk: RandomWalk, found: Findings) -> None:
     coefficients, _ = walk.coefficients()
-    left, change = walk.y - walk.design @ coefficients, walk.design[:, 2]
+    left = walk.y - walk.design @ coefficients
     found.plots["slip"] = Plot(
-        "How the odometry's heading wanders", "Turn of the corrected odometry less that of the map, summed.",
+        ("slip", "turn_slip"), "How the odometry's heading wanders",
+        "Turn of the corrected odometry less that of the map, summed.",
         "way [m]", "heading [deg]",
         {}, {"odometry": (0.5 * np.cumsum(walk.sources[:, 0]), np.rad2deg(np.cumsum(left)))},
     )  # fmt: skip
-    late = float(coefficients[2])
-    order = np.sort(change)
-    found.plots["delay"] = Plot(
-        "Delay of the odometry", "Turns that differ, by how much the rate changed; the slope is the delay.",
-        "change of the turning rate [rad/s]", "turn that differs [mrad]",
-        {"steps": (change, -1e3 * (left + late * change))}, {"fit": (order, -1e3 * late * order)},
+    for k, (names, title, x) in enumerate((
+        (("turn_scale",), "Scale of the turns", "turn by the map [rad]"),
+        (("turn_per_m",), "Turn with the way", "way by the odometry [m]"),
+        (("odometry_delay", "stamp_delay"), "Delay of the odometry", "change of the turning rate [rad/s]"),
+    )):  # fmt: skip
+        found.plots[names[0]] = _partial(walk, k, names, title, x)
+
+
+def _partial(walk: RandomWalk, column: int, names: tuple[str, ...], title: str, x: str) -> Plot:
+    """What one column of the design explains, and the rest."""
+    coefficients, _ = walk.coefficients()
+    values, slope = walk.design[:, column], float(coefficients[column])
+    left = walk.y - walk.design @ coefficients + slope * values
+    ends = np.array([values.min(), values.max()])
+    return Plot(
+        names, title, "Turn beyond the map's in each step, less what else explains it; line: the fit.",
+        x, "turn that differs [mrad]", {"steps": (values, 1e3 * left)}, {"fit": (ends, 1e3 * slope * ends)},
     )  # fmt: skip
 
 

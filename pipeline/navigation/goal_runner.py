@@ -15,7 +15,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.goal_states import Event, Machine, State
 from turtlebag.planners.control.collision_monitor import PADDING_M, CollisionMonitor, moved
-from turtlebag.planners.control.controller import Controller
+from turtlebag.planners.control.controller import Controller, slowed
 from turtlebag.planners.control.goal_checker import STOPPED_V, STOPPED_W, GoalChecker, GoalCheckerConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import (
@@ -46,6 +46,10 @@ class Tick(NamedTuple):
     new_sweep: bool
     stop: bool
     """Whether to stand still because something moves nearby."""
+
+
+ON_THE_WAY = (0.25, 0.5, 0.75, 1.0)
+"""Shares of a recovery's way at which its room is looked at: the lidar may not see behind the robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +91,13 @@ class Tools:
             return -np.inf
         costmap = self.obstacles.costmap
         x, y, yaw = (costmap.T_grid_map @ tick.pose).xyt.tolist()
-        after = moved(x, y, yaw, twist.v, twist.w, amount / max(abs(twist.v), abs(twist.w)))
-        return float(footprint_clearance(costmap.clearance, costmap.resolution, self.samples, *after))
+        taken = amount / max(abs(twist.v), abs(twist.w))
+        poses = [moved(x, y, yaw, twist.v, twist.w, share * taken) for share in ON_THE_WAY]
+        rooms = [
+            float(footprint_clearance(costmap.clearance, costmap.resolution, self.samples, *pose))
+            for pose in ((x, y, yaw), *poses)
+        ]
+        return -np.inf if min(rooms) < min(rooms[0], PADDING_M) else rooms[-1]
 
 
 @dataclass(frozen=True)
@@ -250,7 +259,7 @@ class GoalRunner:
             machine.on(Event.RELEASE)
         if factor >= 1.0:
             return wanted
-        return self.tools.controller.ramp(Twist(wanted.v * factor, wanted.w * factor), tick.last)
+        return slowed(self.tools.controller, wanted, factor, tick.last)
 
     def _held_up(self, tick: Tick, wanted: Twist) -> Verdict | None:
         """Recovery if the monitor holds the robot, or if it makes no progress."""

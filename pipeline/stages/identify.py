@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import yaml
 
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json
 from turtlebag.datasets.parts import source_files
+from turtlebag.datasets.types import Recording
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.identify.identify import Identification, Streams, identify, require_motion
 from turtlebag.pipeline.identify.robot_file import nav2_yaml, scan_filter, transform_arguments
@@ -17,7 +19,8 @@ from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
 from turtlebag.pipeline.stages.sources import Source
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.identify import draw_plots, identify_page
+from turtlebag.reports.figures.robots import draw_plots
+from turtlebag.reports.identify import identify_page
 from turtlebag.sim.robots import RobotSpec
 
 
@@ -35,7 +38,7 @@ def identify_robot(
     watch, settled = Stopwatch(), load_config(SlamConfig, config, settings)
     recording = source.load()
     require_motion(recording)
-    log_notes(recording.notes)
+    tell_of(recording)
     found = identify(recording, base, Streams.of(source.path), settled, track)
     parts = settled.parts()
     with out.staged() as folder:
@@ -51,14 +54,23 @@ def identify_robot(
     return 0
 
 
+def tell_of(recording: Recording) -> None:
+    """What was repaired, and which of several lidars is identified."""
+    log_notes(recording.notes)
+    if recording.others:
+        others = " or ".join(f"--topic {lidar.topic}" for lidar in recording.others)
+        log.info(f"note: the robot has the lidar of {recording.topic}; {others} identifies another one")
+
+
 def metrics_of(found: Identification) -> dict[str, Any]:
-    """metrics.json: the value and interval of each parameter that the bag shows."""
-    shown = {
-        one.name: {"value": one.value, "interval_95": list(one.interval_95)}
-        for one in found.estimates
-        if one.observable
+    """metrics.json: each parameter, its equation apart."""
+    parameters = {
+        name: {key: value for key, value in entry.items() if key != "equation"}
+        for name, entry in found.as_record()["parameters"].items()
     }
-    return {"scans": len(found.recording), "log_s": found.recording.duration(), "parameters": shown}
+    shown = sum(one.observable for one in found.estimates)
+    counts = {"scans": len(found.recording), "log_s": found.recording.duration(), "observable": shown}
+    return {**counts, "parameters": parameters}
 
 
 def write_identification(found: Identification, folder: Path, source: Path) -> None:
@@ -72,13 +84,16 @@ def write_identification(found: Identification, folder: Path, source: Path) -> N
     (folder / "nav2.yaml").write_text(_yaml(nav2_yaml(values, base)))
     (folder / "scan_filter.yaml").write_text(_yaml(scan_filter(values)))
     (folder / "static_transform_publisher.txt").write_text(transform_arguments(values, base))
+    plots = {name: plot.as_record() for name, plot in found.plots.items()}
+    (folder / "plots.json").write_text(json.dumps(plots))
     album = Album(folder / "figures")
-    draw_plots(found.plots, album)
+    draw_plots(plots, album)
     others = {
         name: (folder / name).read_text()
         for name in ("nav2.yaml", "scan_filter.yaml", "static_transform_publisher.txt")
     }
-    page = identify_page(source.name, base.name, found.as_record()["parameters"], album.pictures, others)
+    data = {name: key for key, plot in found.plots.items() for name in plot.of}
+    page = identify_page(source.name, found.as_record(), album.pictures, data, others)
     (folder / "index.html").write_text(page)
 
 

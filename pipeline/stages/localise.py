@@ -29,9 +29,7 @@ from turtlebag.pipeline.localisation.localisers import LocaliserName, make_local
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
-from turtlebag.pipeline.slam.sensors.corrected import delay_metrics, in_step
-from turtlebag.pipeline.slam.sensors.mounting import facing
-from turtlebag.pipeline.slam.times.timing import compared_times
+from turtlebag.pipeline.slam.sensors.corrected import delay_metrics, in_agreement
 from turtlebag.pipeline.stages.requests.options import chosen_settings
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
 from turtlebag.pipeline.stages.sources import Source
@@ -129,7 +127,7 @@ def localise(
 
 def aligned_in_time(recording: Recording) -> Recording:
     """The recording with scans and odometry of the same time, and each lidar facing as it does."""
-    return of_each_lidar(recording, _compared)
+    return of_each_lidar(recording, lambda part: in_agreement(part) or part)
 
 
 def _summarise(metrics: dict[str, Any], out: Path) -> None:
@@ -142,11 +140,6 @@ def _summarise(metrics: dict[str, Any], out: Path) -> None:
         f"{status}{reason}: {metrics['scans']} scans in {metrics['log_s']:.1f} s, "
         f"the map explains {metrics['agreement']:.0%} of the latest ones{known} -> {out}"
     )
-
-
-def _compared(recording: Recording) -> Recording:
-    turns = compared_times(recording)
-    return facing(in_step(recording, turns)) if turns.alike else recording
 
 
 def checked_odometry(recording: Recording) -> Trajectory:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
@@ -43,10 +43,8 @@ def run(request: Request, out: Output) -> int:
             return _map(request, out)
         case LocaliseRequest():
             return _localise(request, out)
-        case IdentifyRequest():
-            return _identify(request, out)
-        case TwinRequest():
-            return _twin(request, out)
+        case IdentifyRequest() | TwinRequest():
+            return _robot(request, out)
         case PlanRequest():
             return _plan(request, out)
         case NavigateRequest():
@@ -139,36 +137,22 @@ def _localise(request: LocaliseRequest, out: Output) -> int:
     )
 
 
-def _identify(request: IdentifyRequest, out: Output) -> int:
+def _robot(request: IdentifyRequest | TwinRequest, out: Output) -> int:
+    from turtlebag.sim.robots import load_robot
+
+    base = Path(request.robot)
+    source = _source(request.source, request.laser, request.topic)
+    files = {"robot": base} if base.is_file() else {}
+    settings: dict[str, Any] = {"config": request.config, "settings": request.settings, "files": files}
+    if isinstance(request, TwinRequest):
+        from turtlebag.pipeline.stages.twin import make_twin
+
+        return make_twin(
+            source, load_robot(request.robot), out, drives=request.drives, seed=request.seed, **settings
+        )
     from turtlebag.pipeline.stages.identify import identify_robot
-    from turtlebag.sim.robots import load_robot
 
-    base = Path(request.robot)
-    return identify_robot(
-        _source(request.source, request.laser, request.topic),
-        load_robot(request.robot),
-        out,
-        config=request.config,
-        settings=request.settings,
-        files={"robot": base} if base.is_file() else {},
-    )
-
-
-def _twin(request: TwinRequest, out: Output) -> int:
-    from turtlebag.pipeline.stages.twin import make_twin
-    from turtlebag.sim.robots import load_robot
-
-    base = Path(request.robot)
-    return make_twin(
-        _source(request.source, request.laser, request.topic),
-        load_robot(request.robot),
-        out,
-        drives=request.drives,
-        seed=request.seed,
-        config=request.config,
-        settings=request.settings,
-        files={"robot": base} if base.is_file() else {},
-    )
+    return identify_robot(source, load_robot(request.robot), out, **settings)
 
 
 def _plan(request: PlanRequest, out: Output) -> int:

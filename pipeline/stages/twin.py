@@ -11,7 +11,6 @@ import numpy as np
 import yaml
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.recordings import load_recording
@@ -21,26 +20,31 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.identify.identify import Identification, Streams, identified, require_motion
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.slam.graph.edits import Edits
 from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam
-from turtlebag.pipeline.stages.identify import write_identification
+from turtlebag.pipeline.stages.identify import tell_of, write_identification
 from turtlebag.pipeline.stages.localise import LocaliseConfig, aligned_in_time, run_amcl
 from turtlebag.pipeline.stages.map import map_scans, save_mapped
 from turtlebag.pipeline.stages.map_summary import Mapped, summary
 from turtlebag.pipeline.stages.record import Scene, record_drive
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
 from turtlebag.pipeline.stages.sources import Source
-from turtlebag.pipeline.terminal.messages import log, log_notes, track
+from turtlebag.pipeline.terminal.messages import log, track
 from turtlebag.pipeline.twin.comparison import Difference, compare
 from turtlebag.pipeline.twin.driver import Drive
-from turtlebag.pipeline.twin.samples import Samples, apart, samples_of
+from turtlebag.pipeline.twin.samples import Samples, samples_of
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.metrics.trajectory import associate
-from turtlebag.reports.twin import draw_twin, twin_page
+from turtlebag.reports.figures.robots import draw_twin
+from turtlebag.reports.twin import twin_page
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import SimConfig
 from turtlebag.sim.surroundings import Surroundings
+from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world
+
+FROM_THE_START = LocaliseConfig(amcl=AmclConfig(recovery_alpha_slow=0.0))
+"""Both start where they are; a search for a lost robot would take longer than all the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +76,13 @@ def make_twin(
     mapped = map_scans([recording], settled, None, Edits(), explain=False)
     result = mapped.result
     assert isinstance(result, SlamResult)
-    log_notes(recording.notes)
+    tell_of(recording)
     streams = Streams.of(source.path)
     found = identified(recording, result.session, base, streams)
     with out.staged() as folder:
-        _write(mapped, found, folder, source.path)
-        drive = _start(Drive.of(result.trajectory, streams.commands), folder, found.robot)
-        _write_world(folder, drive.path.poses[0], source.path)
-        real = _looked(recording, result, result.grid, result.trajectory, seed)
-        simulated = [_simulated(folder, found, drive, settled, result.grid, seed, k) for k in range(drives)]
+        drive = write_twin(mapped, found, Drive.of(result.trajectory, streams.commands), folder, source.path)
+        real = _looked(recording, result, seed)
+        simulated = [_simulated(folder, found, drive, settled, seed, k) for k in range(drives)]
         differences = compare(real.samples, [one.samples for one in simulated])
         _write_page(folder, source.path, found, differences, real, simulated)
         parts = settled.parts()
@@ -98,13 +100,15 @@ def metrics_of(recording: Recording, drives: int, differences: list[Difference])
     """metrics.json."""
     apart = [one.quantity.name for one in differences if one.differs]
     return {
-        "scans": len(recording), "log_s": recording.duration(), "drives": drives, "told_apart": apart,
+        "scans": len(recording), "log_s": recording.duration(), "drives": drives,
+        "compared": len(differences), "differ": len(apart), "told_apart": apart,
         "quantities": {one.quantity.name: one.as_metrics() for one in differences},
     }  # fmt: skip
 
 
-def _write(mapped: Mapped, found: Identification, folder: Path, source: Path) -> None:
-    """The map as `map` writes it, and the robot as `identify` does, its own two files on top."""
+def write_twin(mapped: Mapped, found: Identification, drive: Drive, folder: Path, source: Path) -> Drive:
+    """The map as `map` writes it, the robot as `identify` does, its own two files on top, and the world; the
+    drive from the first place on that is free on that map, InputError where none is."""
     (folder / "map").mkdir()
     save_mapped(mapped, folder / "map", None)
     write_json(
@@ -115,6 +119,9 @@ def _write(mapped: Mapped, found: Identification, folder: Path, source: Path) ->
     write_identification(found, folder / "identify", source)
     for name in ("robot.yaml", "identify.json"):
         (folder / "identify" / name).rename(folder / name)
+    drive = _start(drive, folder, found.robot)
+    _write_world(folder, drive.path.poses[0], source)
+    return drive
 
 
 def _write_world(folder: Path, spawn: SE2, source: Path) -> None:
@@ -129,7 +136,6 @@ def _write_world(folder: Path, spawn: SE2, source: Path) -> None:
 
 
 def _start(drive: Drive, folder: Path, robot: RobotSpec) -> Drive:
-    """The drive from the first place on that is free on the map; InputError where none is."""
     _write_world(folder, drive.path.poses[0], Path("twin"))
     around = Surroundings(load_world(str(folder / "world.yaml")), robot, 0)
     for number in range(0, len(drive.path) // 2, 5):
@@ -146,22 +152,24 @@ def _simulated(
     found: Identification,
     drive: Drive,
     config: SlamConfig,
-    grid: OccupancyGrid,
     seed: int,
     number: int,
 ) -> Looked:
-    """One drive in the twin, by a robot drawn from the intervals; recorded and read again as a bag is."""
-    robot = found.drawn(stream(seed, f"twin robot {number}"))
-    world = load_world(str(folder / "world.yaml"))
-    start, sim_seed = drive.path.poses[0], seed + number
-    scene = Scene("world.yaml", "robot.yaml", world, robot, SimConfig().resolved(robot), start, sim_seed)
+    """One drive in the twin, by a robot drawn from the intervals, mapped and localised."""
+    robot, sim_seed = found.drawn(stream(seed, f"twin robot {number}")), seed + number
+    recording, _ = driven_again(load_world(str(folder / "world.yaml")), robot, drive, sim_seed)
+    return _looked(recording, run_slam(recording, config, track), sim_seed)
+
+
+def driven_again(world: World, robot: RobotSpec, drive: Drive, seed: int) -> tuple[Recording, Trajectory]:
+    """A drive in a world, recorded and read again as a bag is; and the truth at its scans."""
+    start = drive.path.poses[0]
+    scene = Scene("world.yaml", "robot.yaml", world, robot, SimConfig().resolved(robot), start, seed)
     with tempfile.TemporaryDirectory() as place:
         there = Path(place) / "drive"
         if record_drive(scene, drive.driver(), "twin", Output(there), tell=False) >= 128:
             raise KeyboardInterrupt
-        recording = load_recording(there)
-        truth = _undelayed(load_tum(there / "truth" / "trajectory.tum"), robot)
-    return _looked(recording, run_slam(recording, config, track), grid, truth, sim_seed)
+        return load_recording(there), _undelayed(load_tum(there / "truth" / "trajectory.tum"), robot)
 
 
 def _undelayed(truth: Trajectory, robot: RobotSpec) -> Trajectory:
@@ -170,15 +178,11 @@ def _undelayed(truth: Trajectory, robot: RobotSpec) -> Trajectory:
     return Trajectory(truth.stamps_ns, truth.at(truth.stamps_ns - late_ns))
 
 
-def _looked(
-    recording: Recording, mapped: SlamResult, grid: OccupancyGrid, reference: Trajectory, seed: int
-) -> Looked:
-    """What a drive looks like; `reference` is where it was on `grid`."""
-    first = reference.poses[0]
-    localised = run_amcl(aligned_in_time(recording), grid, first, LocaliseConfig(), stream(seed, "amcl"))
-    samples = samples_of(recording, mapped, grid, localised.trajectory)
-    errors = associate(localised.trajectory, reference).position_errors()
-    return Looked(mapped, {**samples, "localisation": errors[:: apart(recording)]})
+def _looked(recording: Recording, mapped: SlamResult, seed: int) -> Looked:
+    """What a drive looks like, real or simulated."""
+    start = mapped.trajectory.poses[0]
+    localised = run_amcl(aligned_in_time(recording), mapped.grid, start, FROM_THE_START, stream(seed, "amcl"))
+    return Looked(mapped, samples_of(recording, mapped, localised.trajectory))
 
 
 def _write_page(

@@ -14,8 +14,9 @@ from turtlebag.pipeline.twin.samples import QUANTITIES, Quantity, Samples
 
 # Chance of a false alarm in all tests together.
 ALPHA = 0.05
-# Values that are tested at most, and at least; effects in words (Romano et al. 2006).
-MOST, LEAST = 20_000, 5
+# Values that are tested at most, and at least; pairs of them up to which p is exact; effects in words
+# (Romano et al. 2006).
+MOST, LEAST, FEW = 20_000, 5, 5_000
 EFFECTS = ((0.147, "negligible"), (0.33, "small"), (0.474, "medium"), (2.0, "large"))
 
 
@@ -58,6 +59,7 @@ class Difference:
     def as_metrics(self) -> dict[str, Any]:
         """Its entry in metrics.json."""
         return {
+            "label": self.quantity.label, "unit": self.quantity.unit,
             "real": _quantiles(self.real), "simulated": _quantiles(self.simulated),
             "n": [len(self.real), len(self.simulated)], "ks": self.distance, "cliffs_delta": self.effect,
             "p_holm": self.p, "told_apart": self.differs,
@@ -71,7 +73,8 @@ def compare(real: Samples, simulated: Sequence[Samples]) -> list[Difference]:
         a = _some(real.get(quantity.name, np.zeros(0)))
         b = _some(np.concatenate([one.get(quantity.name, np.zeros(0)) for one in simulated]))
         if min(len(a), len(b)) >= LEAST:
-            found.append((quantity, a, b, scipy.stats.ks_2samp(a, b)))
+            method = "exact" if len(a) * len(b) < FEW else "asymp"
+            found.append((quantity, a, b, scipy.stats.ks_2samp(a, b, method=method)))
     ps = holm(np.array([float(test.pvalue) for *_, test in found]))
     differences = [
         Difference(quantity, a, b, float(test.statistic), cliffs_delta(a, b), float(p))

@@ -40,6 +40,7 @@ class Quantity:
 FAR = f"beyond {NEAR_M[1]:g} m"
 BANDS = (f"up to {NEAR_M[0]:g} m", f"{NEAR_M[0]:g} to {NEAR_M[1]:g} m", FAR)
 SURFACES = "readings at edges, glass and dark surfaces are not modelled"
+MOVED = "people, doors and what is not level"
 SLIP = "a floor that is not the same everywhere, carpets and thresholds are not modelled"
 QUANTITIES = (
     *(
@@ -58,34 +59,33 @@ QUANTITIES = (
     ),
     *(Quantity(f"way_{way:g}", f"odometry error over {way:g} m", "m", SLIP) for way in WAYS_M),
     Quantity("turn", "odometry error over half a turn", "rad", SLIP),
+    Quantity("wander", "random error of the odometry's turn from scan to scan", "rad", SLIP),
     Quantity("jitter", "jitter of the scans' stamps", "s", "drivers, buses and clocks that stall"),
     Quantity("key_scans", "key scans", "1/m", "how often matching fails"),
-    Quantity("entropy", "entropy of the map, by parts", "bit", "people, doors and what is not level"),
-    Quantity("walls", "share of walls in the map, by parts", "share", "people, doors and what is not level"),
-    Quantity(
-        "localisation", "localisation error on the same map", "m", "what changed since the map was made"
-    ),
-    Quantity("agreement", "returns of a scan that the map explains", "share", "what the map does not show"),
+    Quantity("entropy", "entropy of the map, by parts", "bit", MOVED),
+    Quantity("walls", "share of walls in the map, by parts", "share", MOVED),
+    Quantity("localisation", "localisation off the path of its own map", "m", MOVED),
+    Quantity("agreement", "returns of a scan that its own map explains", "share", MOVED),
 )
 Samples = dict[str, Array]
 
 
-def samples_of(
-    recording: Recording, mapped: SlamResult, grid: OccupancyGrid, localised: Trajectory
-) -> Samples:
-    """Samples (n,) of each quantity that a drive shows. `mapped` is its own map; `localised` where it was on
-    the map `grid`, which is common to all drives."""
+def samples_of(recording: Recording, mapped: SlamResult, localised: Trajectory) -> Samples:
+    """Samples (n,) of each quantity that a drive shows. `mapped` is its own map, `localised` where a filter
+    has it on that map."""
     rows, own = recording.parts()[0]
     poses = mapped.trajectory.poses[rows]
-    found = {**_ranges(own), **_odometry(own, poses), **_map_parts(mapped)}
+    found = {**range_samples(own), **odometry_samples(own, poses), **_map_parts(mapped)}
     found["jitter"] = _jitter(own)
     keys = mapped.trajectory.poses[mapped.keys]
     found["key_scans"] = _rate(keys)
     step = apart(own)
     found["silent"], found["agreement"] = (
         found["silent"][::step],
-        _agreement(own, localised.poses[rows], grid)[::step],
+        _agreement(own, localised.poses[rows], mapped.grid)[::step],
     )
+    off = localised.poses.xy - mapped.trajectory.poses.xy
+    found["localisation"] = np.hypot(*off.T)[:: apart(recording)]
     return {name: values[np.isfinite(values)] for name, values in found.items()}
 
 
@@ -94,7 +94,7 @@ def apart(recording: Recording) -> int:
     return max(1, round(APART_S * len(recording) / max(recording.duration(), 1e-9)))
 
 
-def _ranges(own: Recording) -> Samples:
+def range_samples(own: Recording) -> Samples:
     """Residuals of ranges on straight walls as their neighbours say, and shares of lost beams by scan."""
     walls = walls_of(own)
     band = np.digitize(walls.expected, NEAR_M)
@@ -113,7 +113,7 @@ def _ranges(own: Recording) -> Samples:
     return found
 
 
-def _odometry(own: Recording, poses: SE2) -> Samples:
+def odometry_samples(own: Recording, poses: SE2) -> Samples:
     """How far odometry is off the map's path over ways and turns, one after another."""
     T_odom_base = own.T_odom_base
     if T_odom_base is None:
@@ -125,6 +125,9 @@ def _odometry(own: Recording, poses: SE2) -> Samples:
     for length in WAYS_M:
         found[f"way_{length:g}"] = np.hypot(*_off(poses, T_odom_base, way, length)[:, :2].T)
     found["turn"] = np.abs(wrap(_off(poses, T_odom_base, turned, TURN_RAD)[:, 2]))
+    off = wrap(T_odom_base.steps()[:, 2] - steps[:, 2])
+    design = np.column_stack([steps[:, 2], np.hypot(steps[:, 0], steps[:, 1])])
+    found["wander"] = np.abs(off - design @ np.linalg.lstsq(design, off, rcond=None)[0])
     return found
 
 
@@ -155,7 +158,8 @@ def _jitter(own: Recording) -> Array:
 
 def _map_parts(mapped: SlamResult) -> Samples:
     """Entropy and share of walls in square parts of a map."""
-    grid, p = mapped.grid, np.clip(mapped.confidence.astype(np.float64), 1e-6, 1.0 - 1e-6)
+    # in 255ths; no cell is certain
+    grid, p = mapped.grid, (mapped.confidence + 0.5) / 256.0
     entropy = -(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p))
     known = grid.cells >= FREE
     rows, cols = np.nonzero(known)

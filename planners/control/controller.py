@@ -73,7 +73,8 @@ class Controller(Protocol):
 def ramped(target: Twist, last: Twist, limits: SpeedLimits) -> Twist:
     """The command closest to the target within the acceleration limits of one period.
 
-    While the speed ramps, the rotation keeps the target's curvature.
+    While the speed ramps, the rotation keeps the target's curvature; a robot that brakes keeps to its arc,
+    along which it was known to be able to stop.
     """
     dv, dw = limits.max_dv * limits.period, limits.max_dw * limits.period
     v = min(max(target.v, last.v - dv), last.v + dv)
@@ -81,8 +82,19 @@ def ramped(target: Twist, last: Twist, limits: SpeedLimits) -> Twist:
     wanted_w = target.w
     if target.v * v > 0.0:
         wanted_w = target.w * min(1.0, v / target.v)
+    elif target == Twist() and last.v != 0.0:
+        wanted_w = last.w * v / last.v
     w = min(max(wanted_w, last.w - dw), last.w + dw)
     return Twist(v, min(max(w, -limits.max_w), limits.max_w))
+
+
+def slowed(controller: Controller, wanted: Twist, factor: float, last: Twist) -> Twist:
+    """The next command towards `factor` (0 to 1) of a wanted one, on its arc while the robot is still faster:
+    what lies on that arc is what made it slow down."""
+    slower = controller.ramp(Twist(wanted.v * factor, wanted.w * factor), last)
+    if wanted.v == 0.0:
+        return slower
+    return controller.ramp(Twist(slower.v, wanted.w * slower.v / wanted.v), last)
 
 
 class Ramped:

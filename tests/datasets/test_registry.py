@@ -11,7 +11,7 @@ import pytest
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.registry import DATASETS, fetch
+from turtlebag.datasets.registry import DATASETS, fetch, local_files
 from turtlebag.pipeline.cli.main import main
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -80,7 +80,7 @@ def test_a_failed_download_is_one_line_that_names_the_way_out(monkeypatch):
 
 
 @mirrored
-def test_worlds_and_their_paths_come_from_a_server_and_are_verified(monkeypatch, tmp_path):
+def test_worlds_and_their_paths_come_from_a_server_and_are_verified(tmp_path):
     folder = tmp_path / "served"
     (folder / "path_files").mkdir(parents=True)
     for name in ("world_25.world", "path_25.npy"):
@@ -91,13 +91,13 @@ def test_worlds_and_their_paths_come_from_a_server_and_are_verified(monkeypatch,
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         part = {"folder": f"http://127.0.0.1:{server.server_port}", "sha256": {n: whole[n] for n in names}}
-        monkeypatch.setitem(DATASETS, "barn", DATASETS["barn"].model_copy(update=part))
-        found = fetch("barn")
+        barn = DATASETS["barn"].model_copy(update=part)
+        found = local_files(barn)
         assert [path.name for path in found] == ["world_25.world", "path_25.npy"]
         (folder / "world_25.world").write_text("<sdf/>")
         found[0].unlink()
         with pytest.raises(InputError, match="sha256 differs"):
-            fetch("barn")
+            local_files(barn)
         server.shutdown()
 
 

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 
@@ -11,7 +12,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.identify.identify import Streams, identified, identify
-from turtlebag.pipeline.identify.robot_file import amcl_alphas, nav2_yaml, transform_arguments
+from turtlebag.pipeline.identify.robot_file import amcl_alphas, nav2_yaml, robot_of, transform_arguments
 from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.sim.robots import load_robot
 
@@ -93,6 +94,16 @@ def test_the_command_writes_a_robot_that_drives(drive, found):
     assert "ros__parameters" in (out / "nav2.yaml").read_text()
 
 
+def test_a_plot_shows_the_data_behind_each_estimate(drive, found):
+    shown = {name for plot in found.plots.values() for name in plot.of}
+    estimated = {one.name for one in found.estimates if one.observable and one.sigma > 0.0}
+    assert estimated - shown == set()
+    place = found.plots["place"].points["turns"]
+    assert np.median(place, axis=1) == pytest.approx([-10.0, 15.0], abs=5.0)
+    beams, times = found.plots["sweep"].points["parts of the array"]
+    assert np.corrcoef(beams, times)[0, 1] > 0.9
+
+
 def test_other_programs_get_their_numbers(found):
     values, base = found.values, found.base
     of_nav2 = nav2_yaml(values, base)["diff_drive_controller"]["ros__parameters"]
@@ -131,3 +142,8 @@ def test_without_commands_imu_and_joints_their_numbers_are_the_bases(found):
     assert rest["gyro_noise"].why == "no IMU"
     assert rest.robot.limits.max_dv == found.base.limits.max_dv
     assert rest["slip"].value == found["slip"].value
+
+
+def test_a_recording_of_which_no_robot_can_be_made_is_refused(found):
+    with pytest.raises(InputError, match=r"its robot: lidar\.range_max: must be less than"):
+        robot_of({**found.values, "range_max": 1e9}, found.recording, found.base)

@@ -253,10 +253,9 @@ def test_where_the_walls_are_alike_no_place_differs_whatever_is_kept_out_of():
     assert nearest_difference(costmap, both, floor, 0.2, start, []) is not None
 
 
-def test_where_its_way_is_barred_a_disambiguation_roams_half_a_metre_and_then_goes_elsewhere():
-    """The way to the one place is barred by what the lidar sees, for a while."""
-    walls, goals = costmap_from_grid(room().grid(), CostmapConfig()), []
-    tools = Tools(
+def tools_on(walls, planned=lambda now_ns, poses: None):
+    """What a burger uses on a map."""
+    return Tools(
         BURGER.model,
         Pursuit(BURGER.model, 0.1),
         CollisionMonitor(BURGER.model),
@@ -264,9 +263,27 @@ def test_where_its_way_is_barred_a_disambiguation_roams_half_a_metre_and_then_go
         PlanConfig(),
         GoalCheckerConfig(),
         RecoveryConfig(),
-        SimpleNamespace(plan=lambda now_ns, poses: goals.append(poses.xy[-1])),
+        SimpleNamespace(plan=planned),
         1,
     )
+
+
+@pytest.mark.parametrize(("post_m", "possible"), [(0.2, False), (0.35, False), (0.7, True)])
+def test_a_robot_does_not_back_into_what_it_has_seen_before(post_m, possible):
+    """The lidar, which looks ahead, sees nothing there now; at 0.2 m a post is passed on the way."""
+    tools = tools_on(costmap_from_grid(room().grid(), CostmapConfig()))
+    pose, back = SE2.from_xyt(6.5, 2.0, 0.0), Twist(-0.1, 0.0)
+    aside = 0.08 * (post_m < 0.3)
+    tools.obstacles.update(0.0, pose, np.array([[6.5 - post_m, 2.0 + aside]]), np.zeros((0, 2)))
+    tick = Tick(10**9, pose, Twist(), Twist(), np.zeros((0, 2)), new_sweep=False, stop=False)
+    assert (tools.room_after(back, 0.4, tick) > 0.0) == possible
+    assert tools.room_after(Twist(0.1, 0.0), 0.2, tick) > 0.0
+
+
+def test_where_its_way_is_barred_a_disambiguation_roams_half_a_metre_and_then_goes_elsewhere():
+    """The way to the one place is barred by what the lidar sees, for a while."""
+    walls, goals = costmap_from_grid(room().grid(), CostmapConfig()), []
+    tools = tools_on(walls, lambda now_ns, poses: goals.append(poses.xy[-1]))
     poses, start = [SE2.identity(), TWIN], SE2.from_xyt(6.5, 2.0, 0.0)
     disambiguation = Disambiguation(aliasing_of(room().grid()), poses, tools, 0)
     floor, radius = disambiguation.tools.obstacles, BURGER.model.circumscribed_radius + PADDING_M

@@ -14,7 +14,7 @@ from turtlebag.planners.control.collision_monitor import (
     moved,
     padded,
 )
-from turtlebag.planners.control.controller import SpeedLimits, ramped
+from turtlebag.planners.control.controller import SpeedLimits, ramped, slowed
 from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.pursuit import Pursuit
@@ -90,6 +90,30 @@ def test_ramping_keeps_the_limits_and_the_curvature():
     stop = ramped(Twist(), Twist(0.2, 0.0), LIMITS)
     assert stop.v == pytest.approx(0.2 - 0.8 * DT)
     assert ramped(Twist(0.3, 9.0), Twist(0.22, 1.5), LIMITS) == Twist(0.22, 1.5)
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.1, 0.5])
+def test_a_robot_that_is_slowed_down_keeps_to_its_arc(factor):
+    """It was known to be able to stop along that arc; the tangent may lead into something."""
+    jackal = load_robot("jackal").model
+    controller, last, wanted = Pursuit(jackal, DT), Twist(1.3, -0.8), Twist(1.3, -0.8)
+    pose = SE2.identity()
+    while last.v > factor * wanted.v + 1e-9:
+        last = slowed(controller, wanted, factor, last)
+        pose = SE2.from_xyt(*moved(*pose.xyt.tolist(), last.v, last.w, DT))
+    off_m = np.hypot(pose.x, pose.y + 1.3 / 0.8) - 1.3 / 0.8
+    assert float(pose.x) > 0.25
+    assert abs(off_m) < 1e-6
+    assert last.w == pytest.approx(factor * wanted.w)
+
+
+def test_braking_to_a_standstill_keeps_to_the_arc():
+    limits = SpeedLimits(2.0, 3.0, 2.0, 6.0, DT)
+    last = Twist(1.3, -0.8)
+    while last.v > 0.0:
+        last, before = ramped(Twist(), last, limits), last
+        assert last.w == pytest.approx(before.w * last.v / before.v)
+    assert ramped(Twist(), Twist(0.0, -0.8), limits).w == pytest.approx(-0.6)
 
 
 def test_projection_and_lookahead_on_a_bent_path():

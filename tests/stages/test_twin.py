@@ -1,6 +1,7 @@
 """The twin of a recording: its files, its drive, and what tells real from simulated."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -30,12 +31,17 @@ steps:
 
 
 @pytest.fixture(scope="module")
-def twin(tmp_path_factory):
+def place(tmp_path_factory):
     place = tmp_path_factory.mktemp("twin")
     (place / "short.yaml").write_text(SCRIPT)
     words = ["--world", "turtlebot3_world", "--teleop", str(place / "short.yaml"), "--seed", "3", "-q"]
     assert main(["record", *words, "--out", str(place / "rec")]) == 0
     assert main(["twin", str(place / "rec"), "--drives", "1", "-q", "--out", str(place / "out")]) == 0
+    return place
+
+
+@pytest.fixture(scope="module")
+def twin(place):
     return place / "out"
 
 
@@ -48,6 +54,34 @@ def test_a_twin_is_a_map_a_world_a_robot_and_a_page(twin):
     walls = np.argwhere(grid.cells == 100)
     assert np.mean(world.rasterize(0.18).value_at(grid.center_of(walls)) == 100) > 0.99
     assert load_robot(str(twin / "robot.yaml")).lidar.n_beams == 360
+
+
+def test_a_report_shows_robot_and_twin_and_verify_makes_them_again(place, tmp_path, capsys):
+    """A changed number is found, too."""
+    robot, twin = tmp_path / "robot", tmp_path / "twin"
+    assert main(["identify", str(place / "rec"), "-q", "--out", str(robot)]) == 0
+    shutil.copytree(place / "out", twin)
+    report = tmp_path / "report"
+    assert main(["report", str(robot), str(twin), "-q", "--out", str(report)]) == 0
+    page = (report / "index.html").read_text()
+    assert "parameters are shown by the recording" in page
+    assert "true turn by that of the odometry" in page
+    assert "Real beside simulated" in page
+    capsys.readouterr()
+    assert main(["verify", str(report)]) == 0
+    assert "not run" not in capsys.readouterr().out
+    told = json.loads((twin / "metrics.json").read_text())
+    told["quantities"]["silent"]["ks"] += 0.1
+    (twin / "metrics.json").write_text(json.dumps(told))
+    assert main(["verify", str(report), "--quick"]) == 1
+    assert "metrics.json" in capsys.readouterr().out
+
+
+def test_no_quantity_is_the_same_everywhere(twin):
+    """The entropy of a map's parts once was."""
+    for name in ("entropy", "walls", "residual_0", "silent", "localisation", "wander"):
+        ends = json.loads((twin / "metrics.json").read_text())["quantities"].get(name, {}).get("real")
+        assert ends is None or ends["p95"] > 1.01 * ends["p05"], name
 
 
 def test_python_has_the_twins_parts(twin):

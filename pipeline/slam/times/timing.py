@@ -176,8 +176,10 @@ def _times(look: Look, belief: Belief, over: bool | None, period_s: float) -> Se
     """What the stretches say about the times, deskewed as is believed."""
     seen = look(belief)
     delay, sweep, first = Estimate(belief.late_s, seen.turns.delay_sigma), None, None
+    sectors_s: tuple[float, ...] = ()
     if seen.sectors:
         best = best_sweep(belief.lidar, seen.sectors, period_s, belief.lidar.first_beam)
+        sectors_s = tuple((believed_s(best.lidar) + best.rest_s).tolist())
         periods = 1.0 / ((1.0 - 1.0 / best.lidar.n_beams) * period_s)
         way = np.copysign(periods, best.lidar.time_increment)
         sweep = Estimate(float(way) * best.lidar.sweep_s, periods * best.sigma_s)
@@ -186,7 +188,7 @@ def _times(look: Look, belief: Belief, over: bool | None, period_s: float) -> Se
         known = sweep and all_round(best.lidar) and first.sigma < UNSURE_SHARE * best.lidar.n_beams
         first = first if known else None
     apart_s = _apart_s(look, belief, period_s)
-    return SensorTimes(delay if delay.sigma < LEAST_S else None, sweep, first, over, apart_s)
+    return SensorTimes(delay if delay.sigma < LEAST_S else None, sweep, first, over, apart_s, sectors_s)
 
 
 def _apart_s(look: Look, belief: Belief, period_s: float) -> float:
