@@ -107,8 +107,10 @@ def localise(request: LocaliseRequest, out: Output) -> int:
             times = 1e3 * result.update_s[result.updated]
             median, p95 = float(np.median(times)), float(np.percentile(times, 95))
             extra["update_ms"] = {"median": round(median, 3), "p95": round(p95, 3)}
-        told = {"config": config_text(config), "seed": request.seed}
-        out.finish(folder, "localise", inputs, metrics=metrics, extra=extra, **told)
+        out.finish(
+            folder, "localise", inputs, metrics=metrics, config=config_text(config), seed=request.seed,
+            extra=extra,
+        )  # fmt: skip
     if result is not None:
         _summarise(metrics, out.folder)
     return 0 if metrics.get("true_success", metrics["success"]) else 1
