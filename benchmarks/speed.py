@@ -50,7 +50,7 @@ def patrol(controller: str, maps: Path) -> Row:
     """The patrol of the arena as the API runs it, its outputs included."""
     yaml = Maps(maps, "realistic").slam(*PLACES["arena"])
     settings = {"controller": controller}
-    return best(lambda: tb.navigate(yaml, task="patrol", settings=settings).metrics["time_s"])
+    return best(lambda: tb.navigate(yaml, task=tb.Patrol(), settings=settings).metrics["time_s"])
 
 
 def barn(seed: int) -> Row:

@@ -43,6 +43,7 @@ class ObstacleLayer:
     """The static map with the marked obstacles of the last update."""
     marked: int
     """Number of marked cells."""
+    _marks: Mask
 
     def __init__(self, static: Costmap, marking: Marking = ON_MAP) -> None:
         self.marking = marking
