@@ -36,7 +36,7 @@ def barn_like(seed: int) -> tuple[World, float]:
         if not _passable(filled):
             continue
         posts = _posts(filled)
-        bounds = bounds_of((*posts, cylinder("goal", GOAL.xy, 1.0, HIGH_M)), 1.0)
+        bounds = bounds_of((*posts, cylinder("goal", (float(GOAL.x), float(GOAL.y)), 1.0, HIGH_M)), 1.0)
         world = World(f"barn_like_{seed}", robot.name, START, posts, bounds, (), {})
         costmap = costmap_from_grid(world.rasterize(robot.lidar_height), CostmapConfig())
         return world, Lattice(costmap, robot.model).shortest(START, GOAL)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,11 +67,12 @@ def read(bag: Path) -> tuple[Pose, list[Scan]]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    scans, odometry, static = [], [], {}
+    scans, odometry = [], []
+    static: dict[str, Any] = {}
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         wanted = [c for c in reader.connections if c.topic in ("/scan", "/odom", "/tf_static")]
         for connection, _, raw in reader.messages(wanted):
-            message = reader.deserialize(raw, connection.msgtype)
+            message: Any = reader.deserialize(raw, connection.msgtype)
             if connection.topic == "/tf_static":
                 static |= {one.child_frame_id: one for one in message.transforms}
             elif connection.topic == "/odom":
@@ -96,7 +97,7 @@ def _seconds(message: Any) -> float:
     return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
-def write(out: Path, T_base_lidar: Pose, stamps: Sequence[float], lidars: Iterator[np.ndarray]) -> None:
+def write(out: Path, T_base_lidar: Pose, stamps: Sequence[float], lidars: Iterable[np.ndarray]) -> None:
     """Write poses of the base, in the frame of the first, of poses of the lidar in any frame."""
     inverse, first = np.linalg.inv(T_base_lidar), None
     out.mkdir(parents=True, exist_ok=True)
@@ -154,7 +155,8 @@ def small_gicp() -> None:
 
     args = _asked(voxel=1.0, sampling=0.25)
     T_base_lidar, scans = read(args.bag)
-    voxels, poses, T, step = gicp.GaussianVoxelMap(args.voxel), [], np.eye(4), np.eye(4)
+    voxels, T, step = gicp.GaussianVoxelMap(args.voxel), np.eye(4), np.eye(4)
+    poses: list[np.ndarray] = []
     for scan in scans:
         stacked = np.concatenate([scan.points + np.array([0.0, 0.0, z]) for z in HEIGHTS_M])
         cloud, _ = gicp.preprocess_points(stacked, downsampling_resolution=args.sampling)
@@ -188,7 +190,9 @@ def yag_slam() -> None:
         Scan2DMatcherCpp({**default_config, "resolution": args.resolution}),
         Scan2DMatcherCpp(default_config_loop, loop=True),
     )
-    slam, keys, key_of = GraphSlam(*matchers), [], []
+    slam = GraphSlam(*matchers)
+    keys: list[tuple[Any, Pose]] = []
+    key_of: list[int] = []
     for scan in scans:
         T_odom_lidar = scan.T_odom_base @ T_base_lidar
         if keys:

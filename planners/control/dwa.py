@@ -138,11 +138,12 @@ class Dwa(Ramped):
         self._path = SE2.identity(0)
         self._costmap: Costmap | None = None
         self._floor: ArcFloor | None = None
+        self._to_path: tuple[SE2, Field32] | None = None  # and the frame of its grid
 
     def set_path(self, poses: SE2) -> None:
         """Follow a new path; the last pose is the goal."""
         self._path = poses
-        self._floor = None
+        self._floor = self._to_path = None
         self._settler.set_path(poses)
         self.state = Phase.FOLLOW
 
@@ -181,9 +182,11 @@ class Dwa(Ramped):
             to_goal = grid_distance(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
             if np.isfinite(to_goal[here[0], here[1]]):
                 break
-        on = np.zeros(costmap.lethal.shape, dtype=bool)
-        on[cells[:, 0], cells[:, 1]] = True
-        return ArcFloor(costmap.clearance, to_goal, distance_field(on, res), res)
+        if self._to_path is None or self._to_path[0] is not costmap.T_map_grid:
+            on = np.zeros(costmap.lethal.shape, dtype=bool)
+            on[cells[:, 0], cells[:, 1]] = True
+            self._to_path = costmap.T_map_grid, distance_field(on, res)
+        return ArcFloor(costmap.clearance, to_goal, self._to_path[1], res)
 
     def speeds(self, last: Twist) -> tuple[Array, Array]:
         """The dynamic window: speeds (n,) and turning speeds (m,) that are tried after a command."""

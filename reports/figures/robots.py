@@ -20,9 +20,7 @@ MANY = 50
 """Of so many dots a few may be left out."""
 
 
-EFFECTS_TOLD = (
-    "Cliff's delta, from -1 (smaller in the twin) to 1; grey: cannot be told apart."
-)
+EFFECTS_TOLD = "Cliff's delta, from -1 (smaller in the twin) to 1; grey: cannot be told apart."
 DRAWN = 8
 """Quantities with a picture of their distributions: those that differ most."""
 

@@ -148,7 +148,8 @@ def fit(error: Array, jacobian: Array, information: Array, prior: Array) -> Fit:
             a = np.einsum("n,nab->ab", trust, of_pairs) + prior
             values = np.linalg.solve(a, trust @ towards)
         noise = noise_left(left, information)
-    return Fit(values, np.linalg.inv(a), noise, trust, trust[:, None] * np.einsum("nai,ni->na", pull, left))
+    scores = trust[:, None] * np.einsum("nai,ni->na", pull, left)
+    return Fit(values, np.asarray(np.linalg.inv(a)), noise, trust, scores)
 
 
 def joint_information(information: Array, noise: Array) -> Array:
