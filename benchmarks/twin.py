@@ -365,7 +365,7 @@ def told(rows: list[Row]) -> list[Row]:
 
 def suites(args: Namespace) -> dict[str, Suite]:
     """All suites."""
-    per_place = range(301, 301 + -(-args.robots // len(PLACES)))
+    per_place = range(401, 401 + -(-args.robots // len(PLACES)))
     rows = [(place, seed) for seed in per_place for place in PLACES]
     drives = every(partial(observability), place=("house", "office"), seed=(201, 202), drive=HIDDEN)
     return {

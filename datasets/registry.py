@@ -62,7 +62,12 @@ def fetch(name: str) -> list[Path]:
     """
     if name not in DATASETS:
         raise InputError(f"no dataset named {name!r}; known: {', '.join(DATASETS)}")
-    return [_in_mirror(file) or _downloaded(file) for file in DATASETS[name].files]
+    return local_files(DATASETS[name])
+
+
+def local_files(dataset: Dataset) -> list[Path]:
+    """As `fetch`, of a dataset that need not be in the registry."""
+    return [_in_mirror(file) or _downloaded(file) for file in dataset.files]
 
 
 def _in_mirror(file: RemoteFile) -> Path | None:

@@ -104,6 +104,10 @@ class SE2:
 
     def inverse(self) -> SE2:
         """`T_b_a` from `T_a_b`."""
+        if self.xyt.ndim == 1:
+            x, y, yaw = self.xyt
+            c, s = np.cos(yaw), np.sin(yaw)
+            return SE2(np.array([-c * x - s * y, s * x - c * y, wrapped(-yaw)]))
         c, s = np.cos(self.xyt[..., 2]), np.sin(self.xyt[..., 2])
         x, y = self.xyt[..., 0], self.xyt[..., 1]
         return SE2(_joined(-c * x - s * y, s * x - c * y, wrap(-self.xyt[..., 2])))
@@ -149,8 +153,13 @@ class SE2:
 
 
 def _joined(*parts: Array) -> Array:
-    """Parts of equal shape along a new last axis; `np.stack` is slow for single poses."""
-    return np.stack(parts, axis=-1) if np.ndim(parts[0]) else np.array(parts)
+    """Parts of equal shape along a new last axis; `np.stack` is slow."""
+    if np.ndim(parts[0]) == 0:
+        return np.array(parts)
+    whole = np.empty((*np.shape(parts[0]), len(parts)))
+    for k, part in enumerate(parts):
+        whole[..., k] = part
+    return whole
 
 
 def compose(a: Array, b: Array) -> Array:

@@ -26,34 +26,36 @@ def grid_distance(free: NDArray[np.bool_], row: int, col: int, limit: float) -> 
     are buckets (Dial 1969): a step costs 1 or sqrt(2), so that cells of length [k, k + 1) are final
     once those before are, and lead to [k + 1, k + 3) only.
     """
-    rows, cols = free.shape
-    distance = np.full((rows, cols), np.inf, dtype=np.float32)
-    distance[row, col] = 0.0
-    now = [np.int64(row * cols + col)]
-    soon, later = now[:0], now[:0]
+    rows, width = free.shape[0] + 2, free.shape[1] + 2
+    # A rim that is not free, so that no step leads off the grid; cells are numbered row by row.
+    floor = np.zeros((rows, width), dtype=np.bool_)
+    floor[1:-1, 1:-1] = free
+    floor, steps = floor.ravel(), _DR * width + _DC
+    distance = np.full(rows * width, np.inf, dtype=np.float32)
+    # A cell is put in a bucket at most once for each neighbour; memory that is not used costs nothing.
+    bucket, count = np.empty((3, 8 * rows * width), dtype=np.int32), np.zeros(3, dtype=np.int64)
+    bucket[0, 0], count[0] = (row + 1) * width + col + 1, 1
+    distance[bucket[0, 0]] = 0.0
     k = 0
-    while len(now) + len(soon) + len(later) > 0 and k <= limit:
-        for cell in now:
-            r, c = cell // cols, cell % cols
-            d = distance[r, c]
+    while count.sum() > 0 and k <= limit:
+        now, soon, later = k % 3, (k + 1) % 3, (k + 2) % 3
+        for j in range(count[now]):
+            cell = bucket[now, j]
+            d = distance[cell]
             # A cell that got nearer since it was put here has been dealt with.
             if d < k or d > limit:
                 continue
             for i in range(8):
-                nr, nc = r + _DR[i], c + _DC[i]
-                if nr < 0 or nc < 0 or nr >= rows or nc >= cols or not free[nr, nc]:
-                    continue
+                beside = cell + steps[i]
                 nd = np.float32(d + _COST[i])
-                if nd < distance[nr, nc]:
-                    distance[nr, nc] = nd
-                    if nd < k + 2:
-                        soon.append(nr * cols + nc)
-                    else:
-                        later.append(nr * cols + nc)
-        now.clear()
-        now, soon, later = soon, later, now
+                if floor[beside] and nd < distance[beside]:
+                    distance[beside] = nd
+                    into = soon if nd < k + 2 else later
+                    bucket[into, count[into]] = beside
+                    count[into] += 1
+        count[now] = 0
         k += 1
-    return distance
+    return distance.reshape(rows, width)[1:-1, 1:-1].copy()
 
 
 @njit(cache=True)

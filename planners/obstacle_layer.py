@@ -43,6 +43,7 @@ class ObstacleLayer:
     """The static map with the marked obstacles of the last update."""
     marked: int
     """Number of marked cells."""
+    _marks: Mask
 
     def __init__(self, static: Costmap, marking: Marking = ON_MAP) -> None:
         self.marking = marking
@@ -52,6 +53,7 @@ class ObstacleLayer:
         shape = static.lethal.shape
         self._seen: NDArray[np.float64] = np.full(shape, NEVER)
         self._hits: NDArray[np.int16] = np.zeros(shape, dtype=np.int16)
+        self._shown: Costmap | None = None
         self._show(np.zeros(shape, dtype=bool))
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
@@ -62,9 +64,7 @@ class ObstacleLayer:
         ends = static.T_grid_map @ np.concatenate([hits, passes])
         beams = GridBeams(x, y, ends, len(hits), c.obstacle_range, c.wall_margin)
         mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
-        marked = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
-        self._hits[self._seen <= now_s - c.decay] = 0
-        self._show(marked)
+        self._show(marks(self._seen, self._hits, now_s - c.decay, c.hits))
 
     def let_out(self, T_map_base: SE2, radius: float) -> None:
         """Let a disc of `radius` [m] out of a keep-out area; any earlier way out is closed again."""
@@ -89,7 +89,9 @@ class ObstacleLayer:
         self._show(np.zeros_like(self.static.lethal))
 
     def _show(self, marked: Mask) -> None:
-        self._marks, self.marked = marked, int(marked.sum())
+        if self._shown is self.static and np.array_equal(marked, self._marks):
+            return  # so that nobody looks at the same costmap anew
+        self._marks, self._shown, self.marked = marked, self.static, int(marked.sum())
         self.costmap = self._combined(marked) if self.marked else self.static
 
     def _combined(self, marked: Mask) -> Costmap:
@@ -144,9 +146,12 @@ def mark_and_clear(
         t = 0.0
         while t < stop:
             col, row = math.floor((x + t * ux) / resolution), math.floor((y + t * uy) / resolution)
-            if 0 <= row < rows and 0 <= col < cols and seen[row, col] < now_s:
-                seen[row, col] = NEVER
-                hits[row, col] = 0
+            if 0 <= row < rows and 0 <= col < cols:
+                if seen[row, col] < now_s:
+                    seen[row, col] = NEVER
+                    hits[row, col] = 0
+            elif (ux if col >= cols else -ux if col < 0 else uy if row >= rows else -uy) >= 0.0:
+                break  # off the grid, and away from it
             t += 0.5 * resolution
     for k in range(n_hits):
         if math.hypot(ends[k, 0] - x, ends[k, 1] - y) > obstacle_range:
@@ -156,3 +161,16 @@ def mark_and_clear(
             if seen[row, col] < now_s:
                 hits[row, col] = min(hits[row, col] + 1, 1000)
             seen[row, col] = now_s
+
+
+@njit(cache=True)
+def marks(seen: Array, hits: NDArray[np.int16], since_s: float, least: int) -> Mask:
+    """Cells that were hit since then, often enough; the hits of others are forgotten."""
+    marked = np.zeros(seen.shape, dtype=np.bool_)
+    for row in range(seen.shape[0]):
+        for col in range(seen.shape[1]):
+            if seen[row, col] > since_s:
+                marked[row, col] = hits[row, col] >= least
+            else:
+                hits[row, col] = 0
+    return marked

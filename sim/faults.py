@@ -92,6 +92,8 @@ class Faults:
         self, step: int, left: float, right: float, left_speed: float, right_speed: float
     ) -> tuple[float, float, float, float]:
         """Angles and speeds that the encoders see, from those that moved the robot."""
+        if not self._config.slip:
+            return left, right, left_speed, right_speed
         last = self._angles or (left, right)
         self._angles = (left, right)
         scale = [1.0 / (1.0 - share) for share in self._slip(step)]

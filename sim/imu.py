@@ -68,7 +68,7 @@ class ImuSensor:
         self._count = until
         last, self._last = self._last, twist
         draws = self._rng.standard_normal((2, n, 6))
-        walk = np.cumsum(self._walk * draws[0], axis=0) + self._bias
+        walk = (self._walk * draws[0]).cumsum(axis=0) + self._bias
         values = self._true(last, twist, at) + self._noise * draws[1] + walk
         if n:
             self._bias = walk[-1]
@@ -79,10 +79,10 @@ class ImuSensor:
         """Gyro and specific force, (n, 6), at fractions (n) of a control step; linear speeds between."""
         dv, dw = (after.v - before.v) * CONTROL_HZ, (after.w - before.w) * CONTROL_HZ
         x, y = self._lever
-        rows = np.zeros((len(at), 6))
-        for k, fraction in enumerate(at):  # three or four, fewer than are worth an operation on arrays
+        rows = []
+        for fraction in at:  # three or four, fewer than are worth an operation on arrays
             v, w = before.v + fraction * (after.v - before.v), before.w + fraction * (after.w - before.w)
             # Acceleration of a point of the body: of the base, from the turning rate's change, centripetal.
             forward, aside = dv - dw * y - w * w * x, v * w + dw * x - w * w * y
-            rows[k, 2:] = w, forward, aside, GRAVITY
-        return rows
+            rows.append((0.0, 0.0, w, forward, aside, GRAVITY))
+        return np.array(rows).reshape(-1, 6)

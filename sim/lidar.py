@@ -143,7 +143,7 @@ class Lidar:
         noisy = np.clip(ranges + self._noise(ranges) if unit is None else unit.ranges(ranges), low, high)
         out = np.where(valid, noisy, np.where(ranges < low, -np.inf, np.inf))
         if unit is not None:
-            cosine = incidence(origins, directions, ranges, hits, outlines)
+            cosine = incidence(origins, directions, ranges, hits, outlines.segments, outlines.circles)
             out = np.where(unit.comes_back(cosine), out, np.inf)
         if self._absorbed:
             returns = np.concatenate([outlines.segment_return, outlines.circle_return, [1.0]])

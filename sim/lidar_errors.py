@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.sim.robots import LidarErrors
-from turtlebag.sim.shapes import Sections
 
 LIMIT = 3.0
 """Errors per unit and per turn are clipped at this many standard deviations, the data sheet's tolerance."""
@@ -61,22 +63,29 @@ class LidarUnit:
         return float(np.clip(self._rng.standard_normal(), -LIMIT, LIMIT))
 
 
+@njit(cache=True)
 def incidence(
-    origins: Array, directions: Array, ranges: Array, hits: NDArray[np.int64], outlines: Sections
+    origins: Array,
+    directions: Array,
+    ranges: Array,
+    hits: NDArray[np.int64],
+    segments: Array,
+    circles: Array,
 ) -> Array:
     """Cosine between each beam and the normal of the outline it hit, (n,); 1 where it hit none of them.
 
-    origins and unit directions (n, 2), ranges (n,) [m] and hits (n,) as `raycast.cast` returns them.
+    origins and unit directions (n, 2), ranges (n,) [m] and hits (n,) as `raycast.cast` returns them for
+    segments (s, 4) and circles (c, 3).
     """
     cosine = np.ones(len(hits))
-    n_segments = len(outlines.segments)
-    wall = (hits >= 0) & (hits < n_segments)
-    ends = outlines.segments[hits[wall]]
-    along = ends[:, 2:] - ends[:, :2]
-    d = directions[wall]
-    cosine[wall] = np.abs(d[:, 0] * along[:, 1] - d[:, 1] * along[:, 0]) / np.hypot(along[:, 0], along[:, 1])
-    post = hits >= n_segments
-    circles = outlines.circles[hits[post] - n_segments]
-    met = origins[post] + ranges[post, None] * directions[post] - circles[:, :2]
-    cosine[post] = np.abs(np.sum(met * directions[post], axis=1)) / circles[:, 2]
+    for i in range(len(hits)):
+        dx, dy, k = directions[i, 0], directions[i, 1], hits[i]
+        if 0 <= k < len(segments):
+            ex, ey = segments[k, 2] - segments[k, 0], segments[k, 3] - segments[k, 1]
+            cosine[i] = abs(dx * ey - dy * ex) / math.hypot(ex, ey)
+        elif k >= 0:
+            j = k - len(segments)
+            cx, cy, radius = circles[j, 0], circles[j, 1], circles[j, 2]
+            x, y = origins[i, 0] + ranges[i] * dx - cx, origins[i, 1] + ranges[i] * dy - cy
+            cosine[i] = abs(x * dx + y * dy) / radius
     return cosine

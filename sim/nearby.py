@@ -37,12 +37,13 @@ class Nearby:
 
     def clearance(self, polygon: Array) -> float:
         """Distance from a convex counter-clockwise polygon (n, 2) to the nearest outline; 0 on overlap."""
-        middle = polygon.mean(axis=0)
-        near = self.at(*middle.tolist())
-        distance = distance_to_outlines(polygon, near.segments, near.circles)
-        # Anything left out is farther than `reach` from the middle.
-        if distance + float(np.hypot(*(polygon - middle).T).max()) <= self.reach:
-            return float(distance)
+        if not self._few:
+            middle = polygon.mean(axis=0)
+            near = self.at(*middle.tolist())
+            distance = distance_to_outlines(polygon, near.segments, near.circles)
+            # Anything left out is farther than `reach` from the middle.
+            if distance + float(np.hypot(*(polygon - middle).T).max()) <= self.reach:
+                return float(distance)
         return float(distance_to_outlines(polygon, self.everything.segments, self.everything.circles))
 
     def room(self, x: float, y: float) -> float:

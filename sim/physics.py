@@ -80,6 +80,8 @@ class Physics:
         floor = bullet.createMultiBody(
             0.0,
             bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client),
+            # A plain rigid body: as a multi-body it would take a tenth of each physics step.
+            useMaximalCoordinates=1,
             physicsClientId=client,
         )
         bullet.changeDynamics(floor, -1, lateralFriction=1.0, physicsClientId=client)

@@ -84,15 +84,19 @@ class Surroundings:
 
     def clearance(self, T_world_base: SE2) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
-        footprint = T_world_base @ self._robot.model.footprint
-        moving = float(distance_to_outlines(footprint, self.moving.segments, self.moving.circles))
-        return min(moving, self._standing.clearance(footprint))
+        footprint, moving = T_world_base @ self._robot.model.footprint, self.moving
+        standing = self._standing.clearance(footprint)
+        if not self.movers:
+            return standing
+        return min(standing, float(distance_to_outlines(footprint, moving.segments, moving.circles)))
 
     def within(self, reach_m: float, T_world_base: SE2) -> bool:
         """Whether anything that can be touched is so near the robot's centre."""
         x, y, _ = T_world_base.xyt.tolist()
-        moving = float(distance_to_point(x, y, self.moving.segments, self.moving.circles))
-        return min(moving, self._standing.room(x, y)) <= reach_m
+        if self._standing.room(x, y) <= reach_m:
+            return True
+        moving = self.moving
+        return bool(self.movers) and distance_to_point(x, y, moving.segments, moving.circles) <= reach_m
 
     def require_free(self, T_world_base: SE2, what: str) -> None:
         """InputError when the robot cannot stand there."""

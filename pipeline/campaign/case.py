@@ -179,11 +179,17 @@ class _Work:
             raise StageFailed(f"{BAG}: {error}") from None
 
     def _packed(self, stage: str) -> bytes:
-        """The output of a shared stage, made here, as one file."""
+        """The output of a shared stage, made here, as one file; StageFailed where it cannot be unpacked."""
         self._make(stage)
-        packed = io.BytesIO()
-        with tarfile.open(fileobj=packed, mode="w") as archive:
-            archive.add(self._places[stage], ".")
+        packed, elsewhere = io.BytesIO(), str(self._folder / "unpacked")
+        try:
+            with tarfile.open(fileobj=packed, mode="w") as archive:
+                archive.add(
+                    self._places[stage], ".",
+                    filter=lambda member: tarfile.data_filter(member, elsewhere) and member,
+                )  # fmt: skip
+        except tarfile.FilterError as error:  # a program may leave links and pipes
+            raise self._failure(stage, f"cannot be shared: {error}") from None
         return packed.getvalue()
 
     def _make(self, stage: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
 from collections import Counter
@@ -155,8 +156,11 @@ def _inputs(campaign_name: str, todo: Sequence[Case]) -> dict[str, Path]:
     words = {word for case in todo for line in case.commands.values() for word in line}
     values = {word.partition("=")[2] if word.startswith("--") else word for word in words}
     named = {word: Path(word.partition("+clutter:")[0].partition(":")[0]) for word in values}
+    # A program's word may be a script, longer than any name: for os.path that is no file.
     files = {
-        str(path): path for path in named.values() if path.is_file() or (path / "manifest.json").is_file()
+        str(path): path
+        for path in named.values()
+        if os.path.isfile(path) or os.path.isfile(path / "manifest.json")
     }
     programs = [
         request for case in todo for request in case.requests.values() if isinstance(request, ProgramRequest)

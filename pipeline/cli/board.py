@@ -8,7 +8,7 @@ from pathlib import Path
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import output
 from turtlebag.pipeline.stages.parser import Parser, add_action, count
-from turtlebag.pipeline.terminal.messages import say
+from turtlebag.pipeline.terminal.messages import say, starting
 
 EXAMPLE = "turtlebag board --out data/board"
 SUBMITTED = "turtlebag board submit poses.tum --input house-realistic-1 --out data/submission"
@@ -33,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
     """Run what is left of the board, and print the path of its page."""
     if args.out is None:
         raise InputError("board: --out DIR is needed")
+    starting()
     from turtlebag.pipeline.board.board import PAGE, board
 
     code = board(output(args), inputs=args.pattern, workers=args.workers)

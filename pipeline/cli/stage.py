@@ -33,8 +33,7 @@ def inputs(args: argparse.Namespace) -> list[Path]:
 
 def run(args: argparse.Namespace) -> int:
     """Run the stage; what it found is printed of pages and comparisons."""
-    if args.out is not None:
-        starting()
+    starting()
     from turtlebag.pipeline.stages.run import run as run_stage
 
     if args.verb == "compare":

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 EXAMPLE = StudioRequest.EXAMPLE
 LOOPBACK = "127.0.0.1"
 SIMULATED = ("world", "robot", "seed", "map", "config", "settings")
-LIVE = (*SIMULATED, "bag", "port", "host")
+LIVE = (*SIMULATED, "bag", "edits", "port", "host")
 """Fields that a replay does not take, because the session file has them."""
 
 
@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
     request: StudioRequest = args.request
     if request.session is not None:
         return _replay(request, args)
+    from turtlebag.pipeline.slam.graph.edits import Edits, load_edits
     from turtlebag.pipeline.stages.record import RecordOptions
     from turtlebag.pipeline.stages.settings import load_config
     from turtlebag.pipeline.studio.access import Access, is_loopback, listen, new_token
@@ -59,9 +60,10 @@ def run(args: argparse.Namespace) -> int:
     setup: StudioSetup | BagSetup
     if request.bag is not None:
         _refuse(request, SIMULATED, "cannot be used with --bag, where nothing is simulated; remove it")
-        setup = BagSetup(request.bag)
+        setup = BagSetup(request.bag, edits=Edits() if request.edits is None else load_edits(request.edits))
         words: tuple[str, ...] = (request.bag.name,)
     else:
+        _refuse(request, ("edits",), "edits the map of a bag; give --bag, too")
         options = load_config(RecordOptions, request.config, request.settings)
         setup = StudioSetup(request.world, request.robot, request.seed, request.map, options.sim)
         words = (Path(setup.world).stem, Path(setup.robot_name).stem, str(setup.seed))

@@ -8,6 +8,7 @@ from pathlib import Path
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import output, refuse
 from turtlebag.pipeline.stages.parser import Parser, count
+from turtlebag.pipeline.terminal.messages import starting
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
@@ -34,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
         return _answer(args.campaign, args.query)
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")
+    starting()
     from turtlebag.pipeline.campaign.sweep import sweep
 
     code = sweep(

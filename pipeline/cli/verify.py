@@ -7,7 +7,7 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.stages.parser import Parser
-from turtlebag.pipeline.terminal.messages import say
+from turtlebag.pipeline.terminal.messages import say, starting
 
 EXAMPLE = "turtlebag verify data/report"
 
@@ -23,6 +23,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the differences; exit code 1 if there are any, or a stage could not be run again."""
+    starting()
     from turtlebag.pipeline.stages.verify import verify
 
     found = verify(args.report, quick=args.quick, allow_commands=args.allow_commands)

@@ -64,8 +64,7 @@ def words(case: Case, answer: Array) -> str:
     x, y, _, touched = answer[-1]
     driven = float(np.hypot(*np.diff(answer[:, :2], axis=0).T).sum())
     if touched:
-        side = "ahead" if driven > SPOT_M else "at once"
-        return f"it touches a wall at {x:.2f}, {y:.2f} ({side}, after {driven:.1f} m)"
+        return f"it touches a wall at {x:.2f}, {y:.2f}, after {driven:.1f} m"
     if driven < SPOT_M:
         return "it does not drive: is there a beam of 0 m or inf that stops it?"
     if driven > 2.0 * way(answer):

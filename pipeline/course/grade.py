@@ -3,37 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.course import (
-    avoidance,
-    grids,
-    loop_closures,
-    particle_filter,
-    patrol,
-    pose_graph,
-    scan_matching,
-    wheel_odometry,
-)
 from turtlebag.pipeline.course.lesson import FULL, HIDDEN, PASSED, Case, Lesson, mark_of
 from turtlebag.pipeline.course.process import Ended, Fault, Pupil, cpu_limit
 
 LESSONS = {
-    one.LESSON.number: one.LESSON
-    for one in (
-        wheel_odometry,
-        scan_matching,
-        pose_graph,
-        loop_closures,
-        grids,
-        particle_filter,
-        patrol,
-        avoidance,
-    )
+    1: "wheel_odometry",
+    2: "scan_matching",
+    3: "pose_graph",
+    4: "loop_closures",
+    5: "grids",
+    6: "particle_filter",
+    7: "patrol",
+    8: "avoidance",
 }
+"""Numbers of the lessons, and the modules that have them as LESSON. Only some need Bullet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +63,9 @@ class Grade:
 def lesson_of(number: int) -> Lesson:
     """The lesson of that number; InputError for one that is not there."""
     if number not in LESSONS:
-        raise InputError(
-            f"--lesson {number}: no such lesson (there are {', '.join(map(str, sorted(LESSONS)))})"
-        )
-    return LESSONS[number]
+        raise InputError(f"--lesson {number}: no such lesson (there are {', '.join(map(str, LESSONS))})")
+    lesson: Lesson = import_module(f"turtlebag.pipeline.course.{LESSONS[number]}").LESSON
+    return lesson
 
 
 def grade(source: Path, number: int, salt: str = "") -> Grade:

@@ -13,7 +13,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, Cells, OccupancyGri
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.course.contracts import GridMapper
 from turtlebag.pipeline.course.lesson import Case, Lesson, once
-from turtlebag.pipeline.course.rooms import CELL_M, NOISE_M, angles, drive, true_map, true_ranges
+from turtlebag.pipeline.course.rooms import CELL_M, NOISE_M, angles, draw_map, drive, true_map, true_ranges
 
 GOOD, FAIR = 0.03, 0.12
 SCANS, STEP_M = 30, 0.2
@@ -135,6 +135,7 @@ def words(case: Case, answer: Array) -> str:
 
 def draw(axes: Axes, case: Case, result: Array | None, colour: str) -> None:
     """The map, dark where it is occupied."""
+    draw_map(axes)
     if result is not None:
         shown = np.where(result < 0.0, 0.0, result)
         axes.imshow(shown, cmap="Greys", vmin=0.0, vmax=1.0, origin="lower", extent=area().extent())

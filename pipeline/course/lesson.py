@@ -56,7 +56,7 @@ class Lesson:
     error: Callable[[Case, Array], float]
     words: Callable[[Case, Array], str]
     draw: Callable[[Axes, Case, Array | None, str], None]
-    beside: Literal["true", "the solution"] = "true"
+    beside: Literal["true", "the best fit", "the solution"] = "true"
 
     @property
     def wanted(self) -> dict[str, list[str]]:

@@ -66,7 +66,8 @@ def words(case: Case, answer: Array) -> str:
     said = []
     if wrong := first(accepted & ~right):
         k = case.questions[0]["loops"][wrong[0]]
-        said.append(f"{len(wrong)} wrong loops are accepted, as that of keys {k.i} and {k.j}")
+        loops = "loops are" if len(wrong) > 1 else "loop is"
+        said.append(f"{len(wrong)} wrong {loops} accepted, as that of keys {k.i} and {k.j}")
     if lost := first(right & ~accepted):
         said.append(f"{len(lost)} of {right.sum()} right loops are rejected")
     return f"{' and '.join(said)}: {off}"

@@ -28,11 +28,11 @@ def grade_page(graded: Grade, source: str, figures: Path) -> str:
 
 def beside(lesson: Lesson, outcome: Outcome, solved: Outcome) -> Figure:
     """Yours on the left, the truth on the right, to one scale."""
-    figure = style.new_figure(3.3)
+    figure = style.new_figure(2.6)
     yours, other = figure.subplots(1, 2, sharex=True, sharey=True)
     lesson.draw(yours, outcome.case, outcome.answer, style.series_colour(1))
     yours.set_title("yours" if outcome.answer is not None else "yours: no answer")
-    right = outcome.case.truth if lesson.beside == "true" else solved.answer
+    right = solved.answer if lesson.beside == "the solution" else outcome.case.truth
     lesson.draw(other, outcome.case, right, style.series_colour(0))
     other.set_title(lesson.beside)
     for axes in (yours, other):

@@ -17,7 +17,7 @@ from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.cost import mahalanobis
 from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
 
-GOOD, FAIR = 0.02, 0.1
+GOOD, FAIR = 0.01, 0.1
 KEYS, STEP_M, APART, DRIFT_M = 60, 0.2, 12, 0.25
 NEAR_M, MOST_LOOPS, LEAST_LOOPS = 0.5, 12, 6
 STEP_SIGMA = np.array([0.01, 0.005, 0.015])
@@ -109,4 +109,5 @@ def draw(axes: Axes, case: Case, result: Array | None, colour: str) -> None:
 
 LESSON = Lesson(
     3, "The pose graph", (BackEnd,), "m", GOOD, FAIR, make, play, error, words, draw,
+    "the best fit",
 )  # fmt: skip

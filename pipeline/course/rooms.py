@@ -67,7 +67,7 @@ def room_at(xy: Array) -> float:
 
 
 def draw_map(axes: Axes, name: str = WORLD) -> None:
-    """The walls, in grey."""
+    """The walls, in grey, and a frame around them."""
     grid = true_map(name)
     axes.imshow(
         grid.cells == 100,
@@ -77,6 +77,11 @@ def draw_map(axes: Axes, name: str = WORLD) -> None:
         extent=grid.extent(),
         interpolation="nearest",
     )
+    walls = grid.center_of(np.argwhere(grid.cells == 100))
+    (x_min, y_min), (x_max, y_max) = walls.min(axis=0) - 0.3, walls.max(axis=0) + 0.3
+    axes.set_xlim(x_min, x_max)
+    axes.set_ylim(y_min, y_max)
+    axes.grid(False)
 
 
 def free_pose(rng: np.random.Generator, room_m: float = 0.3, name: str = WORLD) -> Array:

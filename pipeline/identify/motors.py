@@ -15,6 +15,8 @@ Commands = tuple[Stamps, Array, Array]
 EQUATION = "speed(t + dt) = speed(t) + clip(command(t - delay) - speed(t), +-acceleration dt)"
 DELAYS_S = np.arange(0.0, 0.605, 0.01)
 STEPS = 28
+# An acceleration is known to no better than this share of a step.
+FLOORS = {"max_dv": 0.04, "max_dw": 0.1}
 # Commands that change by this share of the largest count as changes; so many are needed.
 CHANGE, ENOUGH = 0.1, 5
 
@@ -40,7 +42,8 @@ def motor_findings(recording: Recording, commands: Commands | None, limits: Limi
     _delay(parts, changes, float(np.median(dt)), limits, found)
     best = int(np.argmin(sum(part.sum(axis=0).min(axis=1) for part in parts)))
     for (name, unit, usual), part, (after, _), often in zip(kinds, parts, wanted, changes, strict=True):
-        _acceleration(name, unit, usual, part[:, best], after, often, found)
+        floor = FLOORS[name] * np.log(after[1] / after[0])
+        _acceleration(name, unit, usual, part[:, best], after, often, floor, found)
     which = int(changes[1] > changes[0])
     first = int(np.argmax(np.abs(np.diff(wanted[which][1][best], prepend=0.0)) > 0.0)) if len(dt) else 0
     some = slice(max(first - 30, 0), first + 300)
@@ -119,7 +122,7 @@ def _middle(cost: Array) -> tuple[float, float]:
 
 
 def _acceleration(
-    name: str, unit: str, usual: float, part: Array, after: Array, often: int, found: Findings
+    name: str, unit: str, usual: float, part: Array, after: Array, often: int, floor: float, found: Findings
 ) -> None:
     def fitted(cost: Array) -> Array:
         k = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
@@ -131,7 +134,7 @@ def _acceleration(
     values, sigmas, freedom = jackknife(part, fitted)
     whole = part.sum(axis=0)
     limited = whole[-1] > 1.3 * whole.min()
-    sigma = float(np.hypot(sigmas[0], 0.1 * np.log(after[1] / after[0])))
+    sigma = float(np.hypot(sigmas[0], floor))
     why = (
         "the commands hardly change" if often < ENOUGH
         else "the speeds follow the commands at once" if not limited

@@ -15,7 +15,7 @@ NOISE_EQUATION = "sigma = |w(k-1) - 2 w(k) + w(k+1)| by the median, over sqrt(6)
 STILL_EQUATION = "mean of the readings while the odometry stands still"
 ENOUGH = 200
 # Share by which motion may raise the noise.
-MOTION = 0.02
+MOTION = {"gyro_noise": 0.01, "accelerometer_noise": 0.02}
 
 
 def imu_findings(recording: Recording, base: ImuMount) -> Findings:
@@ -53,7 +53,7 @@ def _noise(name: str, unit: str, usual: float, values: Array, found: Findings) -
     each = np.sqrt((of_parts[:, alive] ** 2).mean(axis=1))
     value = float(np.median(each))
     sigma = 1.25 * float(sigma_by_median(each - value)) / np.sqrt(len(each))
-    sigma = float(np.hypot(sigma, MOTION * value))
+    sigma = float(np.hypot(sigma, MOTION[name] * value))
     found.estimates.append(Estimate(name, value, sigma, unit, NOISE_EQUATION, "", len(each) - 1, True))
     time = np.linspace(0.0, 100.0, len(each))
     sensor = name.split("_")[0]

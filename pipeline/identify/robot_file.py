@@ -10,6 +10,7 @@ import numpy as np
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.types import Recording
+from turtlebag.datasets.yaml_files import checked
 from turtlebag.sim.robots import CONTROL_HZ, RobotSpec
 
 # AMCL moves its particles after this much driving [m] and turning [rad] (Nav2's update_min_d, update_min_a).
@@ -22,7 +23,7 @@ LONGEST_DELAY_S, MOST_JITTER, MOST_SLIP, MOST_TURN_SLIP = 0.2, 0.05, 0.1, 0.5
 
 def robot_of(values: Mapping[str, float], recording: Recording, base: RobotSpec) -> RobotSpec:
     """The robot with such parameters; what is not among them is the base robot's. Where the simulator has
-    limits, they hold."""
+    limits, they hold; InputError where it would be no robot at all."""
     wheels = base.wheels
     scale, turn_scale = values["wheel_scale"], values["turn_scale"]
     own_wheels = {
@@ -51,7 +52,7 @@ def robot_of(values: Mapping[str, float], recording: Recording, base: RobotSpec)
     told |= {"name": f"{base.name}_identified", "lidar": _lidar(values, base)}
     for part, changed in (("wheels", own_wheels), ("limits", limits), ("imu", imu)):
         told[part] = {**told[part], **changed}
-    return RobotSpec.model_validate(told)
+    return checked(RobotSpec, told, where=f"{recording.source}: its robot")
 
 
 def _lidar(values: Mapping[str, float], base: RobotSpec) -> dict[str, Any]:

@@ -153,7 +153,9 @@ def _ranges(session: Session, estimates: Mapping[str, Estimate]) -> dict[str, Pl
         "Walls seen twice: how much farther by the reading from farther away, medians; line: the square.",
         "difference of the squared ranges [m^2]", "farther by the longer reading [mm]",
         {"walls": (middle[:, 0], 1e3 * middle[:, 1])},
-        {"known_square": (ends, 1e3 * estimates["known_square"].value * ends)},
+        {"known_square": (ends, 1e3 * estimates["known_square"].value * ends)}
+        if estimates["known_square"].observable
+        else {},
     )  # fmt: skip
     return {"ranges": plot}
 

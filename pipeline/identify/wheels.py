@@ -35,8 +35,8 @@ BENT_S = 0.15
 KNOWN = 1.0
 # Errors of a map are neither white nor a walk. What that does to the logarithms of both variances, to scale,
 # bias and delay of the turns, and to scale and bias of a gyro, as the robots of `make bench-twin` have it.
-MODEL = np.array([0.15, 0.6])
-TURNS_MODEL, GYRO_MODEL = np.array([0.0025, 0.001, 0.0028]), np.array([0.0006, 3e-5])
+MODEL = np.array([0.15, 0.3])
+TURNS_MODEL, GYRO_MODEL = np.array([0.0017, 0.001, 0.0028]), np.array([0.0006, 1e-5])
 
 
 def wheel_findings(recording: Recording, T_map_base: SE2, wheels: Wheels) -> Findings:

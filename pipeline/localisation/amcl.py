@@ -16,7 +16,7 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec, MountedLidar, Scan
 from turtlebag.pipeline.localisation import motion_model
 from turtlebag.pipeline.localisation.deskewed_beams import Beams, prepare
-from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
+from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster
 from turtlebag.pipeline.localisation.fine_pose import FinePose
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.likelihood_field import LikelihoodField
@@ -75,7 +75,7 @@ class Amcl:
     @property
     def converged(self) -> bool:
         """Whether the whole cloud is one narrow cluster."""
-        return self._at.estimate is not None and narrow(self._at.estimate.covariance)
+        return self._at.estimate is not None and self._at.estimate.narrow
 
     @property
     def T_map_odom(self) -> SE2:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,6 +30,11 @@ class Estimate:
     T_map_base: SE2
     core: Array
     covariance: Array
+
+    @cached_property
+    def narrow(self) -> bool:
+        """Whether the whole cloud is one place."""
+        return narrow(self.covariance)
 
 
 def narrow(covariance: Array) -> bool:

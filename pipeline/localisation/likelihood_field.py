@@ -8,6 +8,7 @@ shifted by half a cell.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -57,7 +58,7 @@ class DistanceField:
         half = -0.5 * self.resolution
         return self.T_map_field @ SE2.from_xyt(half, half, 0.0)
 
-    @property
+    @cached_property
     def frame(self) -> tuple[float, float, float, float]:
         """What the kernels take: that corner (x, y, yaw) in the map [m, rad], and cells per metre."""
         x, y, yaw = self.T_map_corner.xyt.tolist()
@@ -117,47 +118,36 @@ def meets_wall(
 
 @njit(cache=True)
 def sum_over_beams(
-    table: FloatGrid,
-    outside: float,
-    frame: tuple[float, float, float, float],
-    poses: Array,
-    points: FloatGrid,
+    table: FloatGrid, frame: tuple[float, float, float, float], poses: Array, points: FloatGrid
 ) -> Array:
-    """Sum of the table's values under all beams' end points, for each pose, (n,).
+    """Sum of the table's values under all beams' end points, for each pose, (n,); beyond the table its
+    border counts.
 
     `poses` (n, 3) are in the map frame, `points` (m, 2, float32) in the base frame in table cells;
     `frame` is the table's corner in the map (x, y, yaw) [m, rad] and its cells per metre.
     """
-    rows, cols = table.shape
-    flat = table.ravel()
+    n, (rows, cols), flat = len(poses), table.shape, table.ravel()
     x0, y0, yaw0, per_metre = frame
     c0, s0 = np.cos(yaw0), np.sin(yaw0)
-    reach = np.float32(0.0)
-    for j in range(len(points)):
-        reach = max(reach, points[j, 0] * points[j, 0] + points[j, 1] * points[j, 1])
-    reach = np.sqrt(reach) + np.float32(1.0)
-    out = np.empty(len(poses))
-    for i in range(len(poses)):
+    x, y = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
+    c, s = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
+    for i in range(n):
         dx, dy = poses[i, 0] - x0, poses[i, 1] - y0
-        x, y = np.float32((c0 * dx + s0 * dy) * per_metre), np.float32((c0 * dy - s0 * dx) * per_metre)
-        c, s = np.float32(np.cos(poses[i, 2] - yaw0)), np.float32(np.sin(poses[i, 2] - yaw0))
-        total = np.float32(0.0)
-        if x > reach and y > reach and x + reach < cols and y + reach < rows:
-            # No beam can leave the table, so the lookup needs no test.
-            for j in range(len(points)):
-                gx, gy = x + c * points[j, 0] - s * points[j, 1], y + s * points[j, 0] + c * points[j, 1]
-                total += flat[np.uint32(np.int32(gy)) * np.uint32(cols) + np.uint32(np.int32(gx))]
-            out[i] = total
-            continue
-        for j in range(len(points)):
-            gx, gy = x + c * points[j, 0] - s * points[j, 1], y + s * points[j, 0] + c * points[j, 1]
-            # int() truncates towards 0: (-1, 0) falls into the first cell, where the padding has the same
-            # value.
-            col, row = int(gx), int(gy)
-            inside = (col >= 0) & (row >= 0) & (col < cols) & (row < rows)
-            total += flat[row * cols + col] if inside else np.float32(outside)
-        out[i] = total
-    return out
+        x[i], y[i] = (c0 * dx + s0 * dy) * per_metre, (c0 * dy - s0 * dx) * per_metre
+        c[i], s[i] = np.cos(poses[i, 2] - yaw0), np.sin(poses[i, 2] - yaw0)
+    low, right, top = np.float32(0.0), np.float32(cols - 1), np.float32(rows - 1)
+    cell, total = np.empty(n, dtype=np.int32), np.zeros(n, dtype=np.float32)
+    for j in range(len(points)):
+        px, py = points[j, 0], points[j, 1]
+        # Loops over the poses, as the compiler takes many of them at once where nothing is looked up.
+        for i in range(n):
+            gx, gy = x[i] + c[i] * px - s[i] * py, y[i] + s[i] * px + c[i] * py
+            gx, gy = gx if gx > low else low, gy if gy > low else low
+            gx, gy = gx if gx < right else right, gy if gy < top else top
+            cell[i] = np.int32(gy) * np.int32(cols) + np.int32(gx)
+        for i in range(n):
+            total[i] += flat[np.uint32(cell[i])]
+    return total.astype(np.float64)
 
 
 class LikelihoodField:
@@ -168,8 +158,6 @@ class LikelihoodField:
         distance, factor = field.finer()
         p = hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, range_max)
         self._table = np.log(p).astype(np.float32)
-        # Padded by max_dist all round, the table's corner is as far from everything as outside is.
-        self._outside = float(self._table.min())
         *corner, per_metre = field.frame
         self._frame = (*corner, factor * per_metre)
 
@@ -178,4 +166,4 @@ class LikelihoodField:
         points = (beams.points[evenly_spaced(len(beams), self._max_beams)] * self._frame[3]).astype(
             np.float32
         )
-        return sum_over_beams(self._table, self._outside, self._frame, poses, points)
+        return sum_over_beams(self._table, self._frame, poses, points)

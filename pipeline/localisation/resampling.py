@@ -85,13 +85,26 @@ def kld_bound(bins: int, err: float, z: float) -> int:
     return math.ceil(k / (2.0 * err) * (1.0 - b + math.sqrt(b) * z) ** 3)
 
 
+@njit(cache=True)
 def bin_numbers(poses: Array, bin_xy: float, bin_yaw: float) -> NDArray[np.int64]:
     """Histogram bin of each pose, (n,), numbered in the order in which bins are first met."""
-    cells = np.floor(poses / [bin_xy, bin_xy, bin_yaw]).astype(np.int64)
-    # One number a bin: each index has 21 bits, which are 500 km of quarter metres.
-    packed = cells @ [1 << 42, 1 << 21, 1]
-    _, first, bins = np.unique(packed, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[bins]
+    size = 16
+    while size < 2 * len(poses):
+        size *= 2
+    packed, number = np.empty(size, dtype=np.int64), np.full(size, -1)
+    bins, met = np.empty(len(poses), dtype=np.int64), 0
+    for i in range(len(poses)):
+        x, y = int(np.floor(poses[i, 0] / bin_xy)), int(np.floor(poses[i, 1] / bin_xy))
+        # One number a bin: each index has 21 bits, which are 500 km of quarter metres.
+        key = (x << 42) + (y << 21) + int(np.floor(poses[i, 2] / bin_yaw))
+        at = (x * 73856093 ^ y * 19349663 ^ key * 83492791) & (size - 1)  # Teschner et al. 2003
+        while number[at] >= 0 and packed[at] != key:
+            at = (at + 1) & (size - 1)
+        if number[at] < 0:
+            packed[at], number[at] = key, met
+            met += 1
+        bins[i] = number[at]
+    return bins
 
 
 @njit(cache=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -136,7 +137,7 @@ class _Recovery:
     def note(self, pose: SE2) -> None:
         """Count the distance driven: after enough of it the sequence starts over."""
         if self._at is not None:
-            self._driven += float(np.linalg.norm(pose.xy - self._at.xy))
+            self._driven += math.dist(pose.xy, self._at.xy)
         self._at = pose
         if self._driven > PROGRESS_M and self._manoeuvre is None:
             self._driven = 0.0

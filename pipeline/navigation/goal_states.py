@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum, auto
+from functools import cache
 from typing import NamedTuple
 
 
@@ -160,6 +161,7 @@ TRANSITIONS = (
 _ROWS = {(row.state, row.event): row for row in TRANSITIONS}
 
 
+@cache
 def lineage(state: State) -> tuple[State, ...]:
     """A state and those it lies in, from the inside out."""
     outer = INSIDE.get(state)

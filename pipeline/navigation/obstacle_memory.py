@@ -67,6 +67,8 @@ class ObstacleMemory:
 
     def stops(self, T_odom_base: SE2) -> bool:
         """Whether something that moves is too near: a person can avoid a standing robot more easily."""
+        if len(self.moving_odom) == 0:
+            return False
         return any(depth_inside(self._zone, x, y) > 0.0 for x, y in T_odom_base.inverse() @ self.moving_odom)
 
     def bumped(self, sweep: DeskewedScan, T_odom_base: SE2, v: float, T_frame_odom: SE2) -> bool:
@@ -146,8 +148,7 @@ def profile(ends_lidar: Array) -> Array:
         bins = _bins(ends_lidar)
         np.minimum.at(ranges, bins, np.linalg.norm(ends_lidar, axis=1))
     ranges[np.isinf(ranges)] = 0.0
-    dilated = [np.roll(ranges, k) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)]
-    return np.asarray(np.min(dilated, axis=0))
+    return np.asarray(scipy.ndimage.minimum_filter1d(ranges, 2 * NEIGHBOURS + 1, mode="wrap"))
 
 
 def _bins(points: Array) -> NDArray[np.int64]:

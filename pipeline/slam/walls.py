@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ from turtlebag.pipeline.slam.grid import bands
 
 # Cells as near to a line as this are on it, so that no line has gaps.
 LINE_CELLS = 0.71
+# Lines are painted in pieces of this length, or as long as they are half wide.
+PIECE_CELLS = 64.0
 SURE = 255
 """The confidence in a cell that a person drew or erased."""
 
@@ -37,6 +40,8 @@ def with_walls(
     `T_map_base` (n,) are the poses of all scans. The map grows where walls are drawn beyond it; InputError if
     that is too far.
     """
+    if not walls:
+        return grid, confidence
     strokes, size = [_stroke(wall, grid, T_map_base) for wall in walls], grid.resolution
     first, shape = _extent(grid.shape, strokes)
     cells, sure = np.full(shape, UNKNOWN, dtype=np.int8), np.zeros(shape, dtype=np.uint8)
@@ -44,8 +49,7 @@ def with_walls(
     before = slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1])
     cells[before], sure[before] = grid.cells, confidence
     for corners, reach, value in strokes:
-        ends = corners[1:] if len(corners) > 1 else corners
-        for a, b in zip(corners - first, ends - first, strict=False):
+        for a, b in pairwise(_pieces(corners - first, reach)):
             _paint(cells, a, b, reach, value)
             _paint(sure, a, b, reach, SURE)
     corner = grid.T_map_grid.xy if not first.any() else (np.rint(grid.T_map_grid.xy / size) + first) * size
@@ -70,6 +74,16 @@ def _extent(shape: tuple[int, int], strokes: Sequence[Stroke]) -> tuple[NDArray[
     if rows * cols > MAX_CELLS:
         raise InputError(f"--edits: walls: drawn so far away that the map would have {rows} x {cols} cells")
     return first, (rows, cols)
+
+
+def _pieces(corners: Array, reach: float) -> Array:
+    """The corners (n, 2), the last one once more, and others between them: there is little around a short
+    piece."""
+    ends, length = np.append(corners[1:], corners[-1:], axis=0), max(PIECE_CELLS, reach)
+    counts = np.ceil(np.linalg.norm(ends - corners, axis=1) / length).astype(int).clip(1).tolist()
+    lines = zip(corners, ends, counts, strict=True)
+    between = [np.linspace(a, b, count, endpoint=False) for a, b, count in lines]
+    return np.concatenate([*between, corners[-1:]])
 
 
 def _paint(cells: NDArray, a: Array, b: Array, reach: float, value: int) -> None:

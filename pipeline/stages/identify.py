@@ -10,6 +10,7 @@ import yaml
 
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json
 from turtlebag.datasets.parts import source_files
+from turtlebag.datasets.types import Recording
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.identify.identify import Identification, Streams, identify, require_motion
 from turtlebag.pipeline.identify.robot_file import nav2_yaml, scan_filter, transform_arguments
@@ -37,7 +38,7 @@ def identify_robot(
     watch, settled = Stopwatch(), load_config(SlamConfig, config, settings)
     recording = source.load()
     require_motion(recording)
-    log_notes(recording.notes)
+    tell_of(recording)
     found = identify(recording, base, Streams.of(source.path), settled, track)
     parts = settled.parts()
     with out.staged() as folder:
@@ -51,6 +52,14 @@ def identify_robot(
     of = f"{shown} of {len(found.estimates)} parameters"
     log.info(f"{of} in {watch.seconds():.1f} s -> {out.folder / 'robot.yaml'}")
     return 0
+
+
+def tell_of(recording: Recording) -> None:
+    """What was repaired, and which of several lidars is identified."""
+    log_notes(recording.notes)
+    if recording.others:
+        others = " or ".join(f"--topic {lidar.topic}" for lidar in recording.others)
+        log.info(f"note: the robot has the lidar of {recording.topic}; {others} identifies another one")
 
 
 def metrics_of(found: Identification) -> dict[str, Any]:

@@ -29,12 +29,11 @@ from turtlebag.pipeline.localisation.localisers import LocaliserName, make_local
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.initial_pose import require_on_map
-from turtlebag.pipeline.slam.sensors.corrected import delay_metrics, in_step
-from turtlebag.pipeline.slam.sensors.mounting import facing
-from turtlebag.pipeline.slam.times.timing import compared_times
+from turtlebag.pipeline.slam.sensors.corrected import delay_metrics, in_agreement
+from turtlebag.pipeline.stages.requests.maps import LocaliseRequest
 from turtlebag.pipeline.stages.requests.options import chosen_settings
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
-from turtlebag.pipeline.stages.sources import Source
+from turtlebag.pipeline.stages.sources import Source, pose_or_word
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.reports.metrics.navigation import localisation_errors
@@ -69,28 +68,17 @@ class Localisation:
     """Why the last pose is not to be believed; None when it is."""
 
 
-def localise(
-    source: Source,
-    map_yaml: Path,
-    out: Output,
-    *,
-    initial_pose: SE2 | str | None = None,
-    truth: Path | None = None,
-    config: LocaliseConfig | None = None,
-    seed: int = 1,
-) -> int:
+def localise(request: LocaliseRequest, out: Output) -> int:
     """Run AMCL over a recording and write the outputs; 0 localised, 1 lost at the end or rejected.
 
     With a truth, 0 needs `true_success` of the metrics: at the end the robot is where the filter believes.
-    `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a
-    record's truth folder, or the record.
     """
-    config = config or LocaliseConfig()
-    grid = load_map(map_yaml)
+    config = load_localise_config(request.config, request.settings)
+    grid, initial_pose = load_map(request.map), pose_or_word(request.initial_pose)
     if isinstance(initial_pose, SE2):
-        require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), map_yaml)
-    recording = aligned_in_time(source.load())
-    truth = None if truth is None else truth_folder(truth)
+        require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), request.map)
+    recording = aligned_in_time(Source.of(request).load())
+    truth = None if request.truth is None else truth_folder(request.truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)
     if initial_pose is None:
@@ -98,7 +86,7 @@ def localise(
         log.error("rejected: %s", reason)
         outcome = {"success": False, "status": "rejected", "reason": reason, "localisation_error_m": None}
     else:
-        result = run_amcl(recording, grid, initial_pose, config, stream(seed, "amcl"))
+        result = run_amcl(recording, grid, initial_pose, config, stream(request.seed, "amcl"))
         try:
             outcome = _metrics(result, true_trajectory)
         except ValueError as error:
@@ -112,7 +100,7 @@ def localise(
         if result is not None:
             save_covariances(result.trajectory, result.covariance, folder)
         parts: dict[str, str | None] = {"localiser": config.localiser}
-        inputs = {"bag": source.path, **map_files(map_yaml), **source_files(parts)}
+        inputs = {"bag": request.source, **map_files(request.map), **source_files(parts)}
         inputs |= {"truth": truth} if truth else {}
         extra: dict[str, object] = {"parts": parts}
         if result is not None:
@@ -120,8 +108,9 @@ def localise(
             median, p95 = float(np.median(times)), float(np.percentile(times, 95))
             extra["update_ms"] = {"median": round(median, 3), "p95": round(p95, 3)}
         out.finish(
-            folder, "localise", inputs, metrics=metrics, config=config_text(config), seed=seed, extra=extra
-        )
+            folder, "localise", inputs, metrics=metrics, config=config_text(config), seed=request.seed,
+            extra=extra,
+        )  # fmt: skip
     if result is not None:
         _summarise(metrics, out.folder)
     return 0 if metrics.get("true_success", metrics["success"]) else 1
@@ -129,7 +118,7 @@ def localise(
 
 def aligned_in_time(recording: Recording) -> Recording:
     """The recording with scans and odometry of the same time, and each lidar facing as it does."""
-    return of_each_lidar(recording, _compared)
+    return of_each_lidar(recording, lambda part: in_agreement(part) or part)
 
 
 def _summarise(metrics: dict[str, Any], out: Path) -> None:
@@ -142,11 +131,6 @@ def _summarise(metrics: dict[str, Any], out: Path) -> None:
         f"{status}{reason}: {metrics['scans']} scans in {metrics['log_s']:.1f} s, "
         f"the map explains {metrics['agreement']:.0%} of the latest ones{known} -> {out}"
     )
-
-
-def _compared(recording: Recording) -> Recording:
-    turns = compared_times(recording)
-    return facing(in_step(recording, turns)) if turns.alike else recording
 
 
 def checked_odometry(recording: Recording) -> Trajectory:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
@@ -14,14 +14,13 @@ from turtlebag.pipeline.stages.requests.bags import ConvertRequest, RecoverReque
 from turtlebag.pipeline.stages.requests.courses import GradeRequest
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, NavigateRequest, RecordRequest
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest, PlanRequest
-from turtlebag.pipeline.stages.requests.options import XYT, Laser
 from turtlebag.pipeline.stages.requests.pages import CompareRequest, ReportRequest
 from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.pipeline.stages.requests.request import Request
 from turtlebag.pipeline.stages.requests.robots import IdentifyRequest, TwinRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
 from turtlebag.pipeline.stages.settings import load_config
-from turtlebag.pipeline.stages.sources import MapInputs, Source
+from turtlebag.pipeline.stages.sources import MapInputs, Source, pose_or_word
 from turtlebag.pipeline.terminal.messages import log, say
 
 if TYPE_CHECKING:
@@ -42,11 +41,11 @@ def run(request: Request, out: Output) -> int:
         case MapRequest():
             return _map(request, out)
         case LocaliseRequest():
-            return _localise(request, out)
-        case IdentifyRequest():
-            return _identify(request, out)
-        case TwinRequest():
-            return _twin(request, out)
+            from turtlebag.pipeline.stages.localise import localise
+
+            return localise(request, out)
+        case IdentifyRequest() | TwinRequest():
+            return _robot(request, out)
         case PlanRequest():
             return _plan(request, out)
         case NavigateRequest():
@@ -109,9 +108,8 @@ def _map(request: MapRequest, out: Output) -> int:
     from turtlebag.pipeline.stages.map import build_map
     from turtlebag.reports.metrics.references import References
 
-    source = _source(request.source, request.laser, request.topic)
     return build_map(
-        MapInputs(source, request.also, request.continued, request.edits),
+        MapInputs(Source.of(request), request.also, request.continued, request.edits),
         out,
         references=References.load(request.truth, request.relations),
         config=request.config,
@@ -121,54 +119,20 @@ def _map(request: MapRequest, out: Output) -> int:
     )
 
 
-def _source(path: Path, laser: Laser | None, topics: tuple[str, ...]) -> Source:
-    return Source(path, laser and laser.T_base_lidar, bool(laser and laser.upside_down), topics)
+def _robot(request: IdentifyRequest | TwinRequest, out: Output) -> int:
+    from turtlebag.sim.robots import load_robot
 
+    base = Path(request.robot)
+    source, robot = Source.of(request), load_robot(request.robot)
+    files = {"robot": base} if base.is_file() else {}
+    settings: dict[str, Any] = {"config": request.config, "settings": request.settings, "files": files}
+    if isinstance(request, TwinRequest):
+        from turtlebag.pipeline.stages.twin import make_twin
 
-def _localise(request: LocaliseRequest, out: Output) -> int:
-    from turtlebag.pipeline.stages.localise import load_localise_config, localise
-
-    return localise(
-        _source(request.source, request.laser, request.topic),
-        request.map,
-        out,
-        initial_pose=_told(request.initial_pose),
-        truth=request.truth,
-        config=load_localise_config(request.config, request.settings),
-        seed=request.seed,
-    )
-
-
-def _identify(request: IdentifyRequest, out: Output) -> int:
+        return make_twin(source, robot, out, drives=request.drives, seed=request.seed, **settings)
     from turtlebag.pipeline.stages.identify import identify_robot
-    from turtlebag.sim.robots import load_robot
 
-    base = Path(request.robot)
-    return identify_robot(
-        _source(request.source, request.laser, request.topic),
-        load_robot(request.robot),
-        out,
-        config=request.config,
-        settings=request.settings,
-        files={"robot": base} if base.is_file() else {},
-    )
-
-
-def _twin(request: TwinRequest, out: Output) -> int:
-    from turtlebag.pipeline.stages.twin import make_twin
-    from turtlebag.sim.robots import load_robot
-
-    base = Path(request.robot)
-    return make_twin(
-        _source(request.source, request.laser, request.topic),
-        load_robot(request.robot),
-        out,
-        drives=request.drives,
-        seed=request.seed,
-        config=request.config,
-        settings=request.settings,
-        files={"robot": base} if base.is_file() else {},
-    )
+    return identify_robot(source, robot, out, **settings)
 
 
 def _plan(request: PlanRequest, out: Output) -> int:
@@ -195,7 +159,7 @@ def _navigate(request: NavigateRequest, out: Output) -> int:
         seed=request.seed,
         map_path=request.map,
         start=None if request.start is None else SE2.from_xyt(*request.start),
-        initial_pose=_told(request.initial_pose),
+        initial_pose=pose_or_word(request.initial_pose),
         goal=None if request.goal is None else SE2.from_xyt(*request.goal),
         waypoints_path=request.waypoints,
         laps=request.laps,
@@ -217,13 +181,6 @@ def _navigate(request: NavigateRequest, out: Output) -> int:
         say=say if log.isEnabledFor(logging.INFO) else lambda line: None,
         files=files | ({"config": request.config} if isinstance(request.config, Path) else {}),
     )
-
-
-Word = TypeVar("Word")
-
-
-def _told(pose: XYT | Word) -> SE2 | Word:
-    return SE2.from_xyt(*pose) if isinstance(pose, tuple) else pose
 
 
 def _areas(keepout: Path | str | None) -> tuple[Area, ...] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import unchanged
@@ -12,6 +13,11 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.session_file import FILE as GRAPH
+from turtlebag.pipeline.stages.requests.maps import LocaliseRequest, MapRequest
+from turtlebag.pipeline.stages.requests.options import XYT
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest, TwinRequest
+
+Word = TypeVar("Word")
 
 
 @dataclass(frozen=True)
@@ -28,11 +34,23 @@ class Source:
     upside_down: bool = False
     topics: tuple[str, ...] = ()
 
+    @staticmethod
+    def of(request: MapRequest | LocaliseRequest | IdentifyRequest | TwinRequest) -> Source:
+        """What a request reads."""
+        laser = request.laser
+        over = bool(laser and laser.upside_down)
+        return Source(request.source, laser and laser.T_base_lidar, over, request.topic)
+
     def load(self) -> Recording:
         """Its planar scans; InputError when it has none, or changes while it is read."""
         laser, over = self.T_base_lidar, self.upside_down
         with unchanged(self.path):
             return load_recording(self.path, T_base_lidar=laser, upside_down=over, topic=self.topics)
+
+
+def pose_or_word(pose: XYT | Word) -> SE2 | Word:
+    """The pose that an option says, or the word that stands in its place."""
+    return SE2.from_xyt(*pose) if isinstance(pose, tuple) else pose
 
 
 @dataclass(frozen=True)

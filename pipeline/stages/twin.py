@@ -23,14 +23,14 @@ from turtlebag.pipeline.identify.identify import Identification, Streams, identi
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.slam.graph.edits import Edits
 from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam
-from turtlebag.pipeline.stages.identify import write_identification
+from turtlebag.pipeline.stages.identify import tell_of, write_identification
 from turtlebag.pipeline.stages.localise import LocaliseConfig, aligned_in_time, run_amcl
 from turtlebag.pipeline.stages.map import map_scans, save_mapped
 from turtlebag.pipeline.stages.map_summary import Mapped, summary
 from turtlebag.pipeline.stages.record import Scene, record_drive
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
 from turtlebag.pipeline.stages.sources import Source
-from turtlebag.pipeline.terminal.messages import log, log_notes, track
+from turtlebag.pipeline.terminal.messages import log, track
 from turtlebag.pipeline.twin.comparison import Difference, compare
 from turtlebag.pipeline.twin.driver import Drive
 from turtlebag.pipeline.twin.samples import Samples, samples_of
@@ -76,7 +76,7 @@ def make_twin(
     mapped = map_scans([recording], settled, None, Edits(), explain=False)
     result = mapped.result
     assert isinstance(result, SlamResult)
-    log_notes(recording.notes)
+    tell_of(recording)
     streams = Streams.of(source.path)
     found = identified(recording, result.session, base, streams)
     with out.staged() as folder:

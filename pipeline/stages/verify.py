@@ -14,6 +14,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import cpu_name, package_versions, plain
 from turtlebag.pipeline.stages.again import NotRun, command_differs, made_again, report_again
 from turtlebag.pipeline.stages.other_systems import MARK
+from turtlebag.pipeline.terminal.messages import track
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.kinds import stage_metrics
 from turtlebag.reports.metric_specs import tolerance_of
@@ -96,23 +97,23 @@ def verify(report: Path, *, quick: bool = False, allow_commands: bool = False) -
     stages = [stage for group in groups for stage in group.stages]
     found.elsewhere = list(dict.fromkeys(line for one in stages if (line := _elsewhere(one.manifest))))
     _check_hashes(report, manifest, groups, found)
-    for group in groups:
-        for stage in group.stages:
-            name = f"{group.name}/{stage.label}"
-            chapter = reported.get(group.name)
-            metrics = chapter.get(stage.label) if isinstance(chapter, dict) else None
-            if not isinstance(metrics, dict):
-                found.problems.append(f"{name}: not in the report's metrics.json")
-                continue
-            found.problems += [
-                f"{name}:{path}: the report and the stage's own metrics differ"
-                for path, value in leaves(plain(stage_metrics(stage)))
-                if dict(leaves(metrics)).get(path) != value
-            ]
-            if quick:
-                found.unchecked += _numbers(name, metrics)
-            else:
-                _check_stage(name, stage, stages, metrics, found, allow_commands=allow_commands)
+    named = [(group, stage) for group in groups for stage in group.stages]
+    for group, stage in named if quick else track(named, "running stages again", len(named)):
+        name = f"{group.name}/{stage.label}"
+        chapter = reported.get(group.name)
+        metrics = chapter.get(stage.label) if isinstance(chapter, dict) else None
+        if not isinstance(metrics, dict):
+            found.problems.append(f"{name}: not in the report's metrics.json")
+            continue
+        found.problems += [
+            f"{name}:{path}: the report and the stage's own metrics differ"
+            for path, value in leaves(plain(stage_metrics(stage)))
+            if dict(leaves(metrics)).get(path) != value
+        ]
+        if quick:
+            found.unchecked += _numbers(name, metrics)
+        else:
+            _check_stage(name, stage, stages, metrics, found, allow_commands=allow_commands)
     _check_report(report, manifest, folders, found)
     return found
 

@@ -21,6 +21,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.pipeline.navigation.teleop_override import Interval, TeleopOverrideConfig
+from turtlebag.pipeline.slam.graph.edits import Edits
 from turtlebag.pipeline.studio.inputs import DRIVING, LONGEST_BAG_S, Input, parse_input
 from turtlebag.sim.simulator import SimConfig
 
@@ -42,11 +43,12 @@ class Header(Settings):
 
 
 class BagHeader(Settings):
-    """The bag of a session; `sha256` by file of the bag."""
+    """The bag of a session, `sha256` by file of the bag, and the edits that it began with."""
 
     version: Literal[1] = 1
     bag: str
     sha256: dict[str, str]
+    edits: Edits = Field(Edits(), exclude_if=lambda edits: edits == Edits())
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,6 +100,9 @@ class Playback:
         self._cached = Cached()
         for note in self._log.notes:
             self.say(note)
+        if setup.edits != Edits():
+            setup.edits.require_scans(len(self._log), self._log.source)
+            self._edited(setup.edits, "")
 
     @property
     def stamp_ns(self) -> int:

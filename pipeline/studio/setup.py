@@ -15,6 +15,7 @@ from turtlebag.datasets.outputs import sha256_file, sha256_tree
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.slam.graph.edits import Edits
 from turtlebag.pipeline.slam.mapper import SlamConfig
 from turtlebag.pipeline.studio.journal import BagHeader, Header
 from turtlebag.pipeline.studio.view import Scene
@@ -89,6 +90,8 @@ class BagSetup:
     bag: Path
     config: SlamConfig = field(default_factory=SlamConfig)
     """How the whole bag is mapped."""
+    edits: Edits = Edits()  # noqa: RUF009 (frozen)
+    """Those of an earlier session."""
 
     @cached_property
     def recording(self) -> Recording:
@@ -105,7 +108,7 @@ class BagSetup:
 
     def header(self) -> BagHeader:
         """What its session file begins with."""
-        return BagHeader(bag=str(self.bag.resolve()), sha256=sha256_tree(self.bag))
+        return BagHeader(bag=str(self.bag.resolve()), sha256=sha256_tree(self.bag), edits=self.edits)
 
     def scene(self) -> Scene:
         """The frame of the picture: where the odometry went, and what the lidar may have seen from there."""
@@ -132,7 +135,7 @@ def _absolute(name: str) -> str:
 def setup_of(header: Header | BagHeader, where: Path) -> StudioSetup | BagSetup:
     """The setup that a session file names; InputError when a file is missing or is not what it was."""
     if isinstance(header, BagHeader):
-        bag = BagSetup(Path(header.bag))
+        bag = BagSetup(Path(header.bag), edits=header.edits)
         if not bag.bag.exists() or bag.header().sha256 != header.sha256:
             raise InputError(f"{where}: bag {header.bag}: has changed since the session; use the original")
         return bag

@@ -138,11 +138,12 @@ class Dwa(Ramped):
         self._path = SE2.identity(0)
         self._costmap: Costmap | None = None
         self._floor: ArcFloor | None = None
+        self._to_path: tuple[SE2, Field32] | None = None  # and the frame of its grid
 
     def set_path(self, poses: SE2) -> None:
         """Follow a new path; the last pose is the goal."""
         self._path = poses
-        self._floor = None
+        self._floor = self._to_path = None
         self._settler.set_path(poses)
         self.state = Phase.FOLLOW
 
@@ -150,7 +151,7 @@ class Dwa(Ramped):
         """The next command: the best arc, or the settling on the goal."""
         if len(self._path) < 2:
             return self.brake(last)
-        gap = float(np.linalg.norm(self._path.xy[-1] - pose.xy))
+        gap = math.dist(self._path.xy[-1], pose.xy)
         if gap < self.window.settle_distance:
             if self._settler.state in (Phase.TURN, Phase.FOLLOW):
                 self._settler.state = Phase.SETTLE
@@ -181,9 +182,11 @@ class Dwa(Ramped):
             to_goal = grid_distance(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
             if np.isfinite(to_goal[here[0], here[1]]):
                 break
-        on = np.zeros(costmap.lethal.shape, dtype=bool)
-        on[cells[:, 0], cells[:, 1]] = True
-        return ArcFloor(costmap.clearance, to_goal, distance_field(on, res), res)
+        if self._to_path is None or self._to_path[0] is not costmap.T_map_grid:
+            on = np.zeros(costmap.lethal.shape, dtype=bool)
+            on[cells[:, 0], cells[:, 1]] = True
+            self._to_path = costmap.T_map_grid, distance_field(on, res)
+        return ArcFloor(costmap.clearance, to_goal, self._to_path[1], res)
 
     def speeds(self, last: Twist) -> tuple[Array, Array]:
         """The dynamic window: speeds (n,) and turning speeds (m,) that are tried after a command."""
@@ -193,15 +196,22 @@ class Dwa(Ramped):
         vs = np.linspace(max(last.v - dv, lowest), min(last.v + dv, limits.max_v), c.vx_samples)
         ws = np.linspace(max(last.w - dw, -limits.max_w), min(last.w + dw, limits.max_w), c.vth_samples)
         # as in dwa_local_planner, an exact zero is added when the window straddles it
-        return np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
+        return with_zero(vs) if vs[0] < 0.0 < vs[-1] else vs, with_zero(ws)
 
     def _best_arc(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         # nearer to the goal than that, the forward point would hold the robot back
-        near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < FORWARD_M
+        near = math.dist(self._path.xy[-1], pose.xy) < FORWARD_M
         ahead = 0.0 if near else FORWARD_M
         weights = self.weights._replace(braking=ACCELERATION_SHARE * self.limits.max_dv, ahead=ahead)
         at = tuple((costmap.T_grid_map @ pose).xyt.tolist())
         return Twist(*best_arc(self.floor(pose, costmap), self.samples, at, *self.speeds(last), weights))
+
+
+def with_zero(speeds: Array) -> Array:
+    """Rising speeds (n,) and a zero, if there is none."""
+    at = int(np.searchsorted(speeds, 0.0))
+    there = at < len(speeds) and speeds[at] == 0.0
+    return speeds if there else np.concatenate([speeds[:at], [0.0], speeds[at:]])
 
 
 @njit(cache=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.durations import Seconds, nanoseconds
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.types import Twist, yaw_difference
+from turtlebag.datasets.types import Twist
 
 Preset = Literal["default", "tutorial"]
 TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial": (0.05, 0.17)}
@@ -59,8 +58,8 @@ class GoalChecker:
         """Whether the goal has been held long enough, by the estimated pose and measured speed."""
         xy, yaw = self.config.tolerances()
         slack = 1.0 if self._since_ns is None else HYSTERESIS
-        near = float(np.linalg.norm(T_map_base.xy - self.goal.xy)) <= xy * slack
-        turned = float(yaw_difference(T_map_base.yaw, self.goal.yaw)) <= yaw * slack
+        near = math.dist(T_map_base.xy, self.goal.xy) <= xy * slack
+        turned = abs(wrapped(float(T_map_base.yaw - self.goal.yaw))) <= yaw * slack
         still = abs(twist.v) <= STOPPED_V and abs(twist.w) <= STOPPED_W
         if not (near and turned and (still or not self.config.stop)):
             self._since_ns = None

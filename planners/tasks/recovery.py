@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.durations import LONGEST_S, Seconds, nanoseconds
-from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 
@@ -93,7 +93,7 @@ class Move:
 
     def command(self, now_ns: int, pose: SE2) -> Twist | None:
         """A constant twist until the amount is done."""
-        self.turned, self._yaw = self.turned + float(wrap(pose.yaw - self._yaw)), pose.yaw
+        self.turned, self._yaw = self.turned + wrapped(float(pose.yaw - self._yaw)), pose.yaw
         driven = float(np.linalg.norm(pose.xy - self.start.xy))
         done = driven if self.twist.v != 0.0 else abs(self.turned)
         return self.twist if done < self.amount and now_ns < self.until_ns else None
@@ -171,8 +171,8 @@ class ProgressWatch:
         """Whether neither position nor heading changed enough for too long."""
         stuck = False
         if self._pose is not None:
-            moved = float(np.linalg.norm(pose.xy - self._pose.xy)) > self._moved_m
-            turned = abs(float(wrap(pose.yaw - self._pose.yaw))) > self._turned_rad
+            moved = math.dist(pose.xy, self._pose.xy) > self._moved_m
+            turned = abs(wrapped(float(pose.yaw - self._pose.yaw))) > self._turned_rad
             stuck = not (moved or turned)
             if stuck and now_ns - self._since_ns <= nanoseconds(self._stuck_s):
                 return False

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from matplotlib.animation import PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -30,7 +29,7 @@ from turtlebag.reports.metrics.navigation import placed_goals, truly_reached
 
 PICTURE_PX, STRIP_PX, DPI = 380, 22, 100
 FRAMES, FPS, HOLD = 60, 10, 25
-"""The last frame is repeated so often."""
+"""The last frame stays for so many more."""
 SCANS = 1000
 """No more than about this many scans are drawn."""
 PATH_POINTS = 2000
@@ -53,8 +52,9 @@ class Screen:
         self.size = max(1, round(width * self.scale)), max(1, round(height * self.scale))
         """Width and height of the picture above the strip [pixels]."""
         whole = self.size[1] + STRIP_PX
-        self.figure = Figure(figsize=(self.size[0] / DPI, whole / DPI))
-        FigureCanvasAgg(self.figure)
+        size = self.size[0] / DPI, whole / DPI
+        self.figure = Figure(figsize=size, dpi=DPI, facecolor=style.PAPER)
+        self._canvas = FigureCanvasAgg(self.figure)
         self.axes = self.figure.add_axes((0.0, STRIP_PX / whole, 1.0, self.size[1] / whole))
         self.axes.set(xlim=box[:2], ylim=box[2:], xticks=[], yticks=[], facecolor=style.GROUND)
         self.axes.grid(False)
@@ -86,13 +86,17 @@ class Screen:
 
     def write(self, path: Path, draw: Callable[[int], None], count: int) -> None:
         """A looping GIF of frames evenly over `count` samples, each drawn by its number; the last stays."""
-        writer = PillowWriter(fps=FPS)
-        with style.styled(), writer.saving(self.figure, str(path), DPI):
+        frames = []
+        with style.styled():
             for k in np.linspace(0, count - 1, FRAMES).astype(int).tolist():
                 draw(k)
-                writer.grab_frame()
-            for _ in range(HOLD):
-                writer.grab_frame()
+                self._canvas.draw()
+                frames.append(np.array(self._canvas.buffer_rgba())[:, :, :3])
+        # one palette for all: finding one takes longer than drawing
+        palette = Image.fromarray(np.concatenate(frames[:: -FRAMES // 5])).quantize()
+        images = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+        ms = [1000 // FPS] * (FRAMES - 1) + [1000 // FPS * (1 + HOLD)]
+        images[0].save(path, save_all=True, append_images=images[1:], duration=ms, loop=0)
 
 
 def write_mapping(

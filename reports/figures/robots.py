@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from pydantic import BaseModel
 
 from turtlebag.datasets.grid import OccupancyGrid
@@ -19,7 +20,7 @@ MANY = 50
 """Of so many dots a few may be left out."""
 
 
-EFFECTS_TOLD = "How much each quantity differs; grey ones cannot be told apart."
+EFFECTS_TOLD = "Cliff's delta, from -1 (smaller in the twin) to 1; grey: cannot be told apart."
 DRAWN = 8
 """Quantities with a picture of their distributions: those that differ most."""
 
@@ -101,7 +102,7 @@ def effects(quantities: Mapping[str, Mapping[str, Any]]) -> Figure:
     colours = [style.series_colour(0) if one["told_apart"] else style.MUTED for one in entries]
     axes.barh([one["label"] for one in entries], [one["cliffs_delta"] for one in entries], color=colours)
     axes.set_xlim(-1.0, 1.0)
-    axes.set_xlabel("Cliff's delta: smaller in the twin (-1) to larger (1)")
+    axes.set_xlabel("Cliff's delta")
     return figure
 
 
@@ -116,5 +117,6 @@ def distributions(one: Any) -> Figure:
     axes.set_xlim(float(both.min()), max(float(np.quantile(both, 0.995)), float(both.min()) + 1e-9))
     axes.set_xlabel(f"{one.quantity.label} [{one.quantity.unit}]")
     axes.set_ylabel("share of values")
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.legend(loc="lower right")
     return figure

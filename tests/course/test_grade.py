@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import runpy
+import subprocess
+import sys
 from functools import cache
 
 import pytest
@@ -11,7 +13,15 @@ from turtlebag import testing
 from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.course.grade import LESSONS, Outcome, marked, solution_of, solved_cases
+from turtlebag.pipeline.course.grade import (
+    LESSONS,
+    Outcome,
+    grade,
+    lesson_of,
+    marked,
+    solution_of,
+    solved_cases,
+)
 from turtlebag.pipeline.course.lesson import mark_of, pose_words
 from turtlebag.pipeline.course.page import grade_page
 from turtlebag.pipeline.course.process import Pupil
@@ -73,7 +83,7 @@ WRONG = [
     (AVOID, "return [0.1, 0.8]", "it goes round and round"),
 ]
 """A method of the solution, what it does instead, and part of what is said of it."""
-CLASS = {number: next(iter(lesson.wanted)) for number, lesson in LESSONS.items()}
+CLASS = {number: next(iter(lesson_of(number).wanted)) for number in LESSONS}
 """Of each lesson, the first class to complete."""
 UNUSABLE = {
     "empty": ("", "the file has no class {name}"),
@@ -98,7 +108,7 @@ def changed(number, name, head, body):
 @cache
 def first_case(number):
     """What everybody sees first."""
-    return Outcome(LESSONS[number].visible()[0], "visible 1", 2, "right")
+    return Outcome(lesson_of(number).visible()[0], "visible 1", 2, "right")
 
 
 @pytest.fixture
@@ -108,11 +118,11 @@ def file(tmp_path):
 
 @pytest.mark.parametrize("number", LESSONS)
 def test_the_solution_has_full_marks(number):
-    solution, limit_s = solved_cases(LESSONS[number], "spring")
+    solution, limit_s = solved_cases(lesson_of(number), "spring")
     assert [one.name for one in solution] == [f"visible {k}" for k in (1, 2)] + [
         f"hidden {k}" for k in range(1, 7)
     ]
-    graded = marked(solution_of(number), LESSONS[number], solution, limit_s)
+    graded = marked(solution_of(number), lesson_of(number), solution, limit_s)
     assert (graded.mark, graded.words) == (100, "all cases are right")
     assert graded.cpu_s < 10.0
 
@@ -125,9 +135,9 @@ def test_solutions_that_are_parts_pass_the_checks_of_parts():
 
 
 def test_a_case_that_the_solution_does_not_solve_is_not_set(file):
-    strict = dataclasses.replace(LESSONS[2], good=0.0025)
+    strict = dataclasses.replace(lesson_of(2), good=0.0025)
     solution, _ = solved_cases(strict, "")
-    usual, _ = solved_cases(LESSONS[2], "")
+    usual, _ = solved_cases(lesson_of(2), "")
     assert max(one.error for one in usual) > 0.0025 >= max(one.error for one in solution)
     file.write_text(changed(*MATCH, "return guess"))
     assert marked(file, strict, solution, 10).mark == 0
@@ -136,7 +146,7 @@ def test_a_case_that_the_solution_does_not_solve_is_not_set(file):
 @pytest.mark.parametrize(("method", "body", "words"), WRONG)
 def test_a_wrong_solution_is_told_what_is_wrong(method, body, words, file):
     file.write_text(changed(*method, body))
-    graded = marked(file, LESSONS[method[0]], [first_case(method[0])], 20)
+    graded = marked(file, lesson_of(method[0]), [first_case(method[0])], 20)
     assert not graded.passed
     assert words in graded.words
     assert "\n" not in graded.words
@@ -147,7 +157,7 @@ def test_a_wrong_solution_is_told_what_is_wrong(method, body, words, file):
 def test_a_file_that_cannot_be_asked_has_mark_0_in_every_lesson(name, number, file):
     text, words = (part.format(name=CLASS[number], number=number) for part in UNUSABLE[name])
     file.write_text(text)
-    graded = marked(file, LESSONS[number], [first_case(number)], 1)
+    graded = marked(file, lesson_of(number), [first_case(number)], 1)
     assert graded.mark == 0
     assert words in graded.words
     assert "\n" not in graded.words
@@ -168,13 +178,9 @@ def test_it_has_a_page_one_line_and_exit_1(name, file, tmp_path, capsys):
 @pytest.mark.parametrize("number", LESSONS)
 def test_each_page_shows_the_result_beside_the_right_one(number, file, tmp_path):
     file.write_text("import os\n")
-    one = first_case(number)
-    solution = (
-        [dataclasses.replace(one, answer=one.case.truth)] if LESSONS[number].beside == "true" else [one]
-    )
-    graded = marked(file, LESSONS[number], solution, 5)
+    graded = marked(file, lesson_of(number), [first_case(number)], 5)
     page = grade_page(graded, "hw.py", tmp_path / "figures")
-    assert f"Lesson {number}: {LESSONS[number].title}" in page
+    assert f"Lesson {number}: {lesson_of(number).title}" in page
     assert (tmp_path / "figures/visible-1.png").stat().st_size > 5000
 
 
@@ -196,8 +202,16 @@ def test_the_same_file_and_salt_give_the_same_bytes_also_with_two_threads(file, 
     assert "hello" in (tmp_path / "1/index.html").read_text()
 
 
+@pytest.mark.parametrize("number", [2, 3, 4, 5, 6])
+def test_lessons_that_do_not_drive_need_no_bullet(number):
+    makes = f"import sys; from {grade.__module__} import lesson_of; lesson_of({number}).visible()"
+    said = f"{makes}; print('pybullet' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    assert run.stdout == "False\n"
+
+
 def test_another_salt_has_other_hidden_cases_and_the_same_visible_ones():
-    lesson = LESSONS[2]
+    lesson = lesson_of(2)
     a, b = ([case.truth.tolist() for case in lesson.hidden(salt)] for salt in ("a", "b"))
     assert not any(truth in b for truth in a)
     assert [case.truth.tolist() for case in lesson.visible()] == [c.truth.tolist() for c in lesson.visible()]
@@ -210,7 +224,7 @@ def test_the_process_of_the_file_has_neither_salt_nor_truth_nor_solutions(file):
         file.write_text(
             changed(number, CLASS[number], "unused(self)", "pass") + f"\n\nimport os, sys\n{said}\n"
         )
-        with Pupil(file, LESSONS[number].wanted) as pupil:
+        with Pupil(file, lesson_of(number).wanted) as pupil:
             pupil.begin()
         assert CLASS[number] in pupil.printed
         loaded = {name for name in pupil.printed.split() if name.startswith("turtlebag.pipeline.course")}

@@ -11,7 +11,7 @@ import pytest
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.registry import DATASETS, fetch
+from turtlebag.datasets.registry import DATASETS, fetch, local_files
 from turtlebag.pipeline.cli.main import main
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -80,27 +80,24 @@ def test_a_failed_download_is_one_line_that_names_the_way_out(monkeypatch):
 
 
 @mirrored
-def test_worlds_and_their_paths_come_from_a_server_and_are_verified(monkeypatch, tmp_path):
-    import pooch
-
-    for file in DATASETS["barn"].files:
-        served = tmp_path / "served" / file.url.removeprefix("https://")
-        served.parent.mkdir(parents=True, exist_ok=True)
-        served.symlink_to(SHARED / "barn" / file.name)
-    handler, real = partial(SimpleHTTPRequestHandler, directory=str(tmp_path / "served")), pooch.retrieve
+def test_worlds_and_their_paths_come_from_a_server_and_are_verified(tmp_path):
+    folder = tmp_path / "served"
+    (folder / "path_files").mkdir(parents=True)
+    for name in ("world_25.world", "path_25.npy"):
+        shutil.copy(SHARED / "barn" / name, folder / ("path_files" if name.endswith("npy") else "") / name)
+    names = ("world_25.world", "path_files/path_25.npy")
+    whole = DATASETS["barn"].sha256
+    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        here = f"http://127.0.0.1:{server.server_port}/"
-        monkeypatch.setattr(
-            pooch, "retrieve", lambda url, **more: real(url.replace("https://", here), **more)
-        )
-        found = fetch("barn")
-        assert [path.suffix for path in found] == [".world"] * 13 + [".npy"] * 13
-        served.unlink()
-        served.write_text("another")
-        found[-1].unlink()
+        part = {"folder": f"http://127.0.0.1:{server.server_port}", "sha256": {n: whole[n] for n in names}}
+        barn = DATASETS["barn"].model_copy(update=part)
+        found = local_files(barn)
+        assert [path.name for path in found] == ["world_25.world", "path_25.npy"]
+        (folder / "world_25.world").write_text("<sdf/>")
+        found[0].unlink()
         with pytest.raises(InputError, match="sha256 differs"):
-            fetch("barn")
+            local_files(barn)
         server.shutdown()
 
 

@@ -12,7 +12,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.identify.identify import Streams, identified, identify
-from turtlebag.pipeline.identify.robot_file import amcl_alphas, nav2_yaml, transform_arguments
+from turtlebag.pipeline.identify.robot_file import amcl_alphas, nav2_yaml, robot_of, transform_arguments
 from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.sim.robots import load_robot
 
@@ -142,3 +142,8 @@ def test_without_commands_imu_and_joints_their_numbers_are_the_bases(found):
     assert rest["gyro_noise"].why == "no IMU"
     assert rest.robot.limits.max_dv == found.base.limits.max_dv
     assert rest["slip"].value == found["slip"].value
+
+
+def test_a_recording_of_which_no_robot_can_be_made_is_refused(found):
+    with pytest.raises(InputError, match=r"its robot: lidar\.range_max: must be less than"):
+        robot_of({**found.values, "range_max": 1e9}, found.recording, found.base)

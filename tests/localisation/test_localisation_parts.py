@@ -63,16 +63,16 @@ def test_sum_over_beams_equals_a_plain_lookup():
     corner = field.T_map_corner
     found = sum_over_beams(
         table,
-        -9.0,
         (float(corner.x), float(corner.y), float(corner.yaw), cells_per_m),
         T_map_base.xyt,
         (points * cells_per_m).astype(np.float32),
     )
     ends = (corner.inverse() @ (T_map_base[:, None] @ points)) * cells_per_m
     col, row = np.trunc(ends).astype(int)[..., 0], np.trunc(ends).astype(int)[..., 1]
+    # The map is padded all round by the greatest distance that counts, which is that of all beyond.
     inside = (col >= 0) & (row >= 0) & (col < table.shape[1]) & (row < table.shape[0])
     values = np.where(
-        inside, table[row.clip(0, table.shape[0] - 1), col.clip(0, table.shape[1] - 1)], -9.0
+        inside, table[row.clip(0, table.shape[0] - 1), col.clip(0, table.shape[1] - 1)], table.min()
     ).sum(axis=1)
     # A point within a rounding error of a cell's border may fall to either side.
     assert np.mean(np.abs(found - values) < 1e-3) > 0.95

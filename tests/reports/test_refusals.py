@@ -13,7 +13,7 @@ PATHS = ("", "x,y\n1,2\n", "x,y,yaw\n1,2,three\n")
 STAGES = {
     "report empty": "...empty... manifest.json...",
     **{f"report manifest{k}": "...manifest.json..." for k in (0, 1, 2, 3, 5)},
-    "report manifest4": "manifest4: is a soup output; a report shows record, map, localise, plan, ...",
+    "report manifest4": "manifest4: is a soup output; a report shows record, map, localise, identify, ...",
     **{f"report map plan{k} --no-animation": "...path.csv..." for k in range(len(PATHS))},
     "report map --system-shift 1": "...there is no other system...",
     "report map record hall --system map.tum": "...belongs to one recording...",

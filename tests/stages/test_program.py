@@ -122,6 +122,33 @@ def test_a_program_that_fails_says_why_in_one_line_and_leaves_nothing(tmp_path, 
     assert not out.exists()
 
 
+SHARED = """
+name: links
+factors: {{seed: [1, 2]}}
+stages:
+  leaves: {{command: [bash, -c, "{leave}"]}}
+  looks: {{command: [ls, "{{leaves}}", "{{seed}}"]}}
+shared: [leaves]
+results: {{cpu: "looks:cpu_s"}}
+"""
+
+
+@pytest.mark.parametrize("leave", ["ln -s /etc/passwd {out}/it", "mkfifo {out}/it"])
+def test_links_and_pipes_of_a_shared_program_fail_all_its_cases_with_the_reason(tmp_path, leave):
+    (tmp_path / "links.yaml").write_text(SHARED.format(leave=leave))
+    out = Output(tmp_path / "out")
+    assert sweep(str(tmp_path / "links.yaml"), out, scheduler="threads", allow_commands=True) == 1
+    _, rows = query(Store(str(out.folder)), "SELECT error FROM runs")
+    assert len(rows) == 2
+    assert all("leaves: cannot be shared: './it' is a" in error for (error,) in rows)
+
+
+def test_a_word_of_a_program_may_be_longer_than_any_files_name(tmp_path, campaign):
+    script = "# words " * 40
+    campaign.write_text(campaign.read_text().replace('"{metres}"]', f'"{{metres}}", "{script}"]'))
+    assert sweep(str(campaign), Output(tmp_path / "out"), scheduler="threads", allow_commands=True) == 0
+
+
 def test_a_program_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match="/no/such/program: cannot be started"):
         run(ProgramRequest(command=("/no/such/program",)), Output(tmp_path / "out", command=["none"]))

@@ -13,7 +13,7 @@ from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.edits import load_edits
+from turtlebag.pipeline.slam.graph.edits import Edits, RejectedLoop, WallEdit, load_edits
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.stages.map import build_map
@@ -157,6 +157,27 @@ def test_walls_are_drawn_and_erased_at_once_and_the_command_line_draws_the_same(
     assert np.array_equal(played.view().map.cells, bare.map.cells)
     with pytest.raises(InputError, match=r"^wall_undo: no wall"):
         played.apply(inputs.Plain(do="wall_undo"))
+
+
+@pytest.mark.slow
+def test_a_session_goes_on_with_the_edits_of_an_earlier_one(bag, tmp_path):
+    wall = WallEdit(do="draw", points=((3.0, 1.0), (3.4, 1.0)), scan=LAST, pose=(5.1, 3.0, 1.57))
+    earlier = Edits(walls=(wall,), reject=(RejectedLoop(scan=LAST, place=0),))
+    setup = BagSetup(bag, edits=earlier)
+    with studio_output(setup, Output(tmp_path / "one"), say=lambda line: None) as session:
+        assert [edit.kind for edit in session.view().bag.edits] == ["reject", "draw"]
+        session.apply(inputs.Plain(do="map_build"))
+        session.apply(inputs.Wall(do="wall_erase", points=[(3.1, 1.0)], width=0.2))
+        session.apply(inputs.Save(do="map_save", name="mended"))
+    (kept, more) = load_edits(tmp_path / "one/edits.yaml").walls
+    assert kept == wall
+    assert more.do == "erase"
+    assert replay(tmp_path / "one/session.yaml", Output(tmp_path / "two"), say=lambda line: None) == 0
+    for name in ("session.yaml", "edits.yaml", "maps/mended.pgm"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    late = Edits(walls=(wall.model_copy(update={"scan": 150}),))
+    with pytest.raises(InputError, match=r"^--edits: walls 1: .* has no scan 150"):
+        Session(BagSetup(bag, edits=late), tmp_path, lambda line: None)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import yaml
@@ -234,3 +235,26 @@ def test_a_session_that_cannot_go_on_is_kept_beside_the_first_free_folder(tmp_pa
         f"(`turtlebag studio --replay {aside}/session.yaml --out DIR` makes a finished output of it)"
     )
     assert load_session(tmp_path / aside / "session.yaml").until_ns > 2e9
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--edits edits.yaml", "--edits: edits the map of a bag; give --bag, too"),
+        (
+            "--bag edits.yaml --seed 2",
+            "--seed: cannot be used with --bag, where nothing is simulated; remove it",
+        ),
+        (
+            "--replay edits.yaml --edits edits.yaml",
+            "--edits: cannot be used with --replay, which takes it from",
+        ),
+    ],
+)
+def test_options_that_do_not_go_together_are_one_line(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("edits.yaml").write_text("version: 1\n")
+    assert main(["studio", *words.split()]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"turtlebag: {said}")
+    assert [path.name for path in tmp_path.iterdir()] == ["edits.yaml"]

@@ -145,9 +145,9 @@ def _motion(session: Session, T_map_base: SE2) -> Iterator[str]:
             f"parts of each scan disagree about the motion by up to {apart_s:.2f} s (two lidars merged "
             "without synchronisation?): walls are drawn twice where the robot turns"
         )
-    slid = slides(session.recording, T_map_base, evidence.borders)
-    moved = (_back_in_time(evidence), _jumped(evidence, T_map_base), _slid(slid))
-    yield from [reason for reason in moved if reason][:1]
+    moved = _back_in_time(evidence) or _jumped(evidence, T_map_base) or _slid(session, T_map_base)
+    if moved:
+        yield moved
 
 
 def _uncertain(xy: Array, sigma: float, evidence: Evidence) -> Iterator[Term]:
@@ -215,10 +215,10 @@ def _back_in_time(evidence: Evidence) -> str | None:
     )
 
 
-def _slid(slid: NDArray[np.int64]) -> str | None:
-    if not len(slid):
-        return None
-    return f"the path slides sideways as wheels cannot (first: at scan {slid[0]}): the map may be torn there"
+def _slid(session: Session, T_map_base: SE2) -> str | None:
+    slid = slides(session.recording, T_map_base, session.evidence.borders)
+    told = "the path slides sideways as wheels cannot (first: at scan {}): the map may be torn there"
+    return told.format(slid[0]) if len(slid) else None
 
 
 def slides(recording: Recording, T_map_base: SE2, borders: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -29,7 +29,7 @@ from turtlebag.pipeline.slam.scans.pairs import alike_within, match_pairs, overl
 class RefineConfig(Settings):
     """The joint refinement."""
 
-    rounds: int = Field(default=5, ge=0, le=100, description="linearise-and-solve rounds; 0: no refinement")
+    rounds: int = Field(default=3, ge=0, le=100, description="linearise-and-solve rounds; 0: no refinement")
 
 
 def refine(

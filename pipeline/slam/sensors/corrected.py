@@ -49,13 +49,20 @@ def _compared(recording: Recording, usable_m: float, matched: bool, deskew: bool
     if len(recording) == 0:
         return recording
     recording = without_repeats(without_own_body(recording), usable_m)
-    turns = compared_times(recording, deskew=deskew)
-    if turns.alike:
-        return facing(in_step(recording, turns))
+    alike = in_agreement(recording, deskew=deskew)
+    if alike is not None:
+        return alike
     if matched:
         said = "the odometry does not turn when the scans do (is it from another drive?): not used"
         return replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
     return recording
+
+
+def in_agreement(recording: Recording, *, deskew: bool = True) -> Recording | None:
+    """The recording with scans and odometry of the same time, its lidar facing where it does; None if the two
+    do not turn together."""
+    timing = compared_times(recording, deskew=deskew)
+    return facing(in_step(recording, timing)) if timing.alike else None
 
 
 def in_step(recording: Recording, timing: Timing) -> Recording:

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.motion import without_gap
 from turtlebag.datasets.robust import cauchy_weight, sigma_by_median
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import ImuLog, Recording, Trajectory
 from turtlebag.pipeline.slam.odometry.calibration import ODOMETRY_SHARE, gross
 
-# A gyro with a longer period or longer gaps than this is not used across them [s].
-HOLE_S = 0.1
 # Over turns that are smaller than this in all [rad], the two are not compared.
 TURNING_RAD = 0.8
 # Standard deviations of a gyro's bias [rad/s] and of the difference between a turn by gyro and by wheels
@@ -106,7 +105,7 @@ class GyroTurns:
         rate = rate[good][first]
         waits = seconds(np.diff(stamps))
         self._yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * waits)])[: len(stamps)]
-        self._holes = np.concatenate([[0], np.cumsum(waits > HOLE_S)])[: len(stamps)]
+        self._holes = np.concatenate([[0], np.cumsum(~without_gap(waits))])[: len(stamps)]
 
     def turns(self, stamps_ns: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
         """Turn between successive stamps (n - 1,), and whether the gyro was available throughout."""

@@ -100,7 +100,10 @@ def compared_times(recording: Recording, *, deskew: bool = True) -> Timing:
     if recording.T_odom_base is None or len(recording) < 2:
         return Timing()
     period_s, scans = usual_period(recording), thinned_scans(recording)
-    judges = bool(np.quantile(way_and_turn(scans.T_odom_base.steps())[:, 1], NEARLY_ALWAYS) <= JUDGES_RAD)
+    T_odom_base = scans.T_odom_base
+    assert T_odom_base is not None
+    turns = way_and_turn(T_odom_base.steps())[:, 1]
+    judges = bool(np.quantile(turns, NEARLY_ALWAYS) <= JUDGES_RAD)
     swept = deskew and judges and has_sectors(recording.lidar)
     noise = range_noise(scans, scans.lidar.range_max)
     look = cache(partial(_look, scans, noise, turning(scans), period_s if swept else 0.0))
@@ -108,16 +111,17 @@ def compared_times(recording: Recording, *, deskew: bool = True) -> Timing:
     if swept and all_round(believed.lidar):
         believed = _begun(look, believed, recording.lidar, period_s)
     declared = recording.lidar.turned_over() if over else recording.lidar
+    apart_s = _apart_s(look, believed, period_s)
     if believed.lidar != declared:
         as_said, over_as_said = _settled(look, recording.lidar, period_s, False)
         earlier = believed_s(declared) - believed_s(believed.lidar)
         sure = np.std(earlier) > LEAST_SHARE * period_s and surely(-look(believed).gain(earlier))
         sharper = agreeing(look(as_said).misfit - look(believed).misfit)
-        if not (sure and sharper) or _apart_s(look, believed, period_s):
+        if not (sure and sharper) or apart_s > 0.0:
             believed, over = as_said, over_as_said
             declared = recording.lidar.turned_over() if over else recording.lidar
     seen, stream = look(believed), odometry_stream(recording)
-    times = _times(look, believed, over, period_s)
+    times = replace(_times(look, believed, over, period_s), apart_s=apart_s)
     interval = seconds(float(np.median(np.diff(stream.stamps_ns)))) if len(stream) > 1 else 0.0
     least_s = min(max(LEAST_S, interval), MOST_S)
     late_s = believed.late_s if abs(believed.late_s) >= least_s else 0.0
@@ -187,8 +191,7 @@ def _times(look: Look, belief: Belief, over: bool | None, period_s: float) -> Se
         sweep = sweep if sweep.sigma < UNSURE_SHARE else None
         known = sweep and all_round(best.lidar) and first.sigma < UNSURE_SHARE * best.lidar.n_beams
         first = first if known else None
-    apart_s = _apart_s(look, belief, period_s)
-    return SensorTimes(delay if delay.sigma < LEAST_S else None, sweep, first, over, apart_s, sectors_s)
+    return SensorTimes(delay if delay.sigma < LEAST_S else None, sweep, first, over, sectors_s=sectors_s)
 
 
 def _apart_s(look: Look, belief: Belief, period_s: float) -> float:

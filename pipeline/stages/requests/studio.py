@@ -37,6 +37,9 @@ class StudioRequest(Request):
     bag: Annotated[
         Path | None, file("BAG", "bag or log to play and map, in place of a simulation", "rec")
     ] = None
+    edits: Annotated[
+        Path | None, file("FILE", "with --bag: edits of an earlier session to go on with", "edits.yaml")
+    ] = None
     port: Annotated[
         Annotated[int, Field(ge=1, le=65535)] | None,
         Option("P", "port of the page (default: a free one)", "8000", read=port_number),

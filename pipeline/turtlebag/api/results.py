@@ -119,7 +119,10 @@ class Plan(Output):
 
 
 class _Page(Output):
-    """An output that is a page about other outputs."""
+    """An output that is a page; its card shows `shown`, a table, and where the `files` are."""
+
+    shown = ""
+    files: tuple[str, ...] = ("page",)
 
     @property
     def page(self) -> Path:
@@ -136,16 +139,28 @@ class _Page(Output):
         if self._manifest.stage != self.kind:
             raise InputError(f"{self.path}: is an output of {self._manifest.stage}, not of {self.kind}")
 
+    def _facts(self) -> dict[str, str]:
+        return {name: str(getattr(self, name)) for name in self.files}
 
-class Identification(_Page):
-    """The result of `identify`: a robot for the simulator, and the page about its parameters."""
+    def _picture(self) -> str:
+        return str(getattr(self, self.shown)._repr_html_()) if self.shown else ""
 
-    kind = "identify"
+
+class _RobotPage(_Page):
+    """A page about the robot of a recording."""
 
     @property
     def robot(self) -> Path:
         """The robot's file, for `robot` of any step."""
         return self.path / "robot.yaml"
+
+
+class Identification(_RobotPage):
+    """The result of `identify`: a robot for the simulator, and the page about its parameters."""
+
+    kind = "identify"
+    shown = "parameters"
+    files = ("robot", "page")
 
     @cached_property
     def parameters(self) -> Table:
@@ -162,27 +177,18 @@ class Identification(_Page):
         shown = sum(map(bool, self.parameters["observable"]))
         return "neutral", f"{shown} of {len(self.parameters)} parameters are shown by the recording."
 
-    def _facts(self) -> dict[str, str]:
-        return {"robot": str(self.robot), "page": str(self.page)}
 
-    def _picture(self) -> str:
-        return self.parameters._repr_html_()
-
-
-class Twin(_Page):
+class Twin(_RobotPage):
     """The result of `twin`: world, robot and map of a recording, and the page real beside simulated."""
 
     kind = "twin"
+    shown = "quantities"
+    files = ("world", "robot", "page")
 
     @property
     def world(self) -> Path:
         """The world's file, for `world` of any step."""
         return self.path / "world.yaml"
-
-    @property
-    def robot(self) -> Path:
-        """The robot's file, for `robot` of any step."""
-        return self.path / "robot.yaml"
 
     @property
     def map(self) -> Path:
@@ -205,17 +211,12 @@ class Twin(_Page):
         apart, entries = self.metrics["told_apart"], self.metrics["quantities"]
         return "neutral", f"Real and simulated differ in {len(apart)} of {len(entries)} quantities."
 
-    def _facts(self) -> dict[str, str]:
-        return {"world": str(self.world), "robot": str(self.robot), "page": str(self.page)}
-
-    def _picture(self) -> str:
-        return self.quantities._repr_html_()
-
 
 class Comparison(_Page):
     """The result of `compare`, of two outputs, or of ours and other systems."""
 
     kind = "compare"
+    shown = "numbers"
 
     @cached_property
     def numbers(self) -> Table:
@@ -245,12 +246,6 @@ class Comparison(_Page):
         differ = sum(a != b for a, b in self.metrics.values())
         return "neutral", f"{differ} of {len(self.metrics)} numbers differ."
 
-    def _facts(self) -> dict[str, str]:
-        return {"page": str(self.page)}
-
-    def _picture(self) -> str:
-        return self.numbers._repr_html_()
-
 
 class Report(_Page):
     """The page that `report` made."""
@@ -275,4 +270,4 @@ class Report(_Page):
         return {name: verdict(stage, stage_metrics(stage)) for name, stage in stages.items()}
 
     def _facts(self) -> dict[str, str]:
-        return {**{name: text for name, (_, text) in self._verdicts.items()}, "page": str(self.page)}
+        return {**{name: text for name, (_, text) in self._verdicts.items()}, **super()._facts()}
