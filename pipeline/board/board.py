@@ -97,7 +97,7 @@ def board(out: Output, *, inputs: str = "*", workers: int | None = None) -> int:
         raise InputError(f"--inputs {inputs}: fits no input; for example house-clean-1, barn-25-realistic-1")
     with lock_output(out.folder, force=out.force) as lock:
         lock.spare()
-        files = {f"{name}.yaml": plan.inputs["campaign"] for name, plan in plans.items()}
+        files = {f"{name}.yaml": plan.inputs["campaign"] for name, plan in plans.items() if plan.cases}
         lock.watch(files.values())
         chapters = [
             _chapter(name, plan, lock.partial, Hands(workers=workers), force=out.force)

@@ -172,8 +172,8 @@ def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str, read:
         for name in named & set(later) - set(places) - {OUT}:  # by the text of a level
             raise InputError(f"{where}: {{{name}}} is not an earlier stage")
         places[stage] = f"{{{stage}}}"
-    content = [chosen, commands, *([bag_version] if bag_version else [])]
-    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    parts = [chosen, commands, *([bag_version] if bag_version else [])]
+    digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()
     return Case(digest[:16], chosen, commands, requests, bag_version)
 
 

@@ -56,7 +56,8 @@ def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str)
             axes.set_title(words(group), fontsize="small")
     for axes in grid[len(groups) :]:
         axes.set_visible(False)
-    if wish.log and not share:
+    values = [row[wish.y] for row in rows]
+    if wish.log and any(isinstance(value, (int, float)) and value > 0.0 for value in values) and not share:
         grid[0].set_yscale("log")
         grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         grid[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -13,7 +13,9 @@ from turtlebag.pipeline.board.board import Chapter, Run, lines_of
 from turtlebag.pipeline.board.inputs import CHAPTERS, HASHES, drives, find_drive
 from turtlebag.pipeline.campaign.campaign_file import load_campaign
 from turtlebag.pipeline.campaign.cases import cases
+from turtlebag.pipeline.campaign.figures import draw_figures
 from turtlebag.pipeline.cli.main import main
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
 
 ROW = {"case": "a", "world": "arena", "sensors": "realistic", "system": "ours", "failed": False, "error": ""}
@@ -58,6 +60,14 @@ def test_a_line_counts_those_that_say_yes():
         campaign, [{**row, **nothing, "seed": seed, "arrived": seed > 1} for seed in (1, 2, 3)]
     )
     assert (line.kind, line.numbers["arrived"]) == ("25, clean", (pytest.approx(2 / 3), "2 of 3"))
+
+
+def test_a_chapter_of_which_every_row_failed_has_its_figures_without_marks(tmp_path):
+    campaign = load_campaign("board")
+    row = {**ROW, **dict.fromkeys(campaign.results), "seed": 1, "failed": True, "error": "map: broke"}
+    album = Album(tmp_path)
+    draw_figures(campaign, [row], album)
+    assert len(album.pictures) == len(campaign.figures)
 
 
 def test_the_page_says_why_a_row_failed_what_is_left_out_and_how_to_make_it_again():
