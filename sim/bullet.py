@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Any
+from functools import cache
+from types import ModuleType
+from typing import Any, cast
 
 
 def __getattr__(name: str) -> Any:
     """ImportError where Bullet is not installed."""
     if name.startswith("__"):  # asked for by the import system
         raise AttributeError(name)
-    globals().update({key: value for key, value in _loaded_quietly().items() if not key.startswith("__")})
-    return globals()[name]
+    return getattr(_loaded_quietly(), name)
 
 
-def _loaded_quietly() -> dict[str, Any]:
+@cache
+def _loaded_quietly() -> ModuleType:
     sys.stdout.flush()
     kept = os.dup(1), os.dup(2)
     sink = os.open(os.devnull, os.O_WRONLY)
@@ -31,4 +33,4 @@ def _loaded_quietly() -> dict[str, Any]:
         os.dup2(kept[1], 2)
         for descriptor in (*kept, sink):
             os.close(descriptor)
-    return vars(pybullet)
+    return cast(ModuleType, pybullet)

@@ -56,7 +56,7 @@ class Slam3dConfig(Settings):
         description="size of the surfels, which all other lengths follow (default: chosen from the log)",
     )
     loops: Loop3dConfig = Loop3dConfig()
-    refine: RefineConfig = RefineConfig()
+    refine: RefineConfig = RefineConfig(rounds=3)
     slice: SliceConfig = SliceConfig()
 
 

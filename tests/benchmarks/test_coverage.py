@@ -51,7 +51,7 @@ def test_distances_are_those_of_each_twentieth_pose():
 
 def a_row(worst, verdict, kind="plain", half="build", within=1.0):
     about = {"world": "w", "robot": "r", "kind": kind, "half": half}
-    terms = {"moved": 1.0 if verdict == "doubtful" else 0.0}
+    terms = {"contradicted": 1.0 if verdict == "doubtful" else 0.0}
     return {**about, "worst_m": worst, "within": within, "check": {"terms": terms}}
 
 

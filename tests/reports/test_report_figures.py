@@ -116,7 +116,7 @@ def log_of(words):
 
 def test_the_cases_of_a_campaign_lie_beside_the_interval_that_would_hide_them():
     rows = [{"hz": hz, "error": 0.01 * hz + 0.001 * k} for hz in (5, 10) for k in range(3)]
-    figure = result_over_factor(rows, Figure(x="hz", y="error"), "error", "cm", 1)
+    figure = result_over_factor(rows, Figure(x="hz", y="error"), "error", "cm")
     figure.draw_without_rendering()
     lines = figure.axes[0].get_lines()
     (mark,) = [line for line in lines if line.get_marker() == "o"]

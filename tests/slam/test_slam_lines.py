@@ -220,7 +220,7 @@ def test_points_of_a_sweep_are_put_where_the_base_was_when_they_were_seen():
 
 
 def test_without_odometry_a_sweep_moves_by_the_mean_speed_before_and_after():
-    stamps = np.array([0, 500, 900, 900, 3000, 3400]) * 10**6
+    stamps = np.array([0, 500, 900, 900, 9000, 9400]) * 10**6
     poses = moving(stamps * 1e-9)
     log = Recording("x", stamps, np.full((6, 11), 2.0, np.float32), SLOW, SE2.identity())
     motion = sweep_motion_by_track(log, poses)
@@ -229,7 +229,7 @@ def test_without_odometry_a_sweep_moves_by_the_mean_speed_before_and_after():
         seconds = (stamps[k + 1] - stamps[k]) * 1e-9
         step = (poses[k].inverse() @ poses[k + 1]).xyt
         # after no time and after too long nothing is known
-        speed.append(step / seconds if 0.0 < seconds < 2.0 else np.zeros(3))
+        speed.append(step / seconds if 0.0 < seconds < 4.0 else np.zeros(3))
     for k in range(6):
         mean = 0.5 * (speed[max(k - 1, 0)] + speed[min(k, 4)])
         for knot in range(KNOTS):

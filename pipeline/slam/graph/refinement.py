@@ -25,11 +25,16 @@ from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
 from turtlebag.pipeline.slam.scans.pairs import alike_within, match_pairs, overlapping_pairs, partner_radius
 
+# Where no key moved farther in a round [m or rad], the next round is the last.
+STILL = 0.01
+
 
 class RefineConfig(Settings):
     """The joint refinement."""
 
-    rounds: int = Field(default=3, ge=0, le=100, description="linearise-and-solve rounds; 0: no refinement")
+    rounds: int = Field(
+        default=5, ge=0, le=100, description="linearise-and-solve rounds at most; 0: no refinement"
+    )
 
 
 def refine(
@@ -64,13 +69,16 @@ def in_rounds(
     solve: Callable[[Poses, Sequence[Constraint], int], Poses] = optimise,
 ) -> tuple[Poses, list[Constraint]]:
     """Match pairs at the current poses and solve the graph, again and again. `matched` gives the constraints
-    of a round, from its progress: 0 (the first) to 1 (the last)."""
+    of a round, from its progress: 0 (the first) to 1 (the last). After a round in which nothing moved much,
+    those between are left out."""
     poses: Poses = T_map_keys
     constraints = list(steps)
-    for round_ in range(rounds):
-        f: float = round_ / max(rounds - 1, 1)
-        constraints = [*steps, *matched(poses, f)]
-        poses = solve(poses, constraints, 5)
+    progress = np.linspace(0.0, 1.0, rounds).tolist()
+    while progress:
+        constraints = [*steps, *matched(poses, progress.pop(0))]
+        before, poses = poses, solve(poses, constraints, 5)
+        if np.abs((before.inverse() @ poses).vector()).max() < STILL:
+            del progress[:-1]
     return poses, constraints
 
 
