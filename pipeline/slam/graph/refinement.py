@@ -73,7 +73,7 @@ def in_rounds(
     those between are left out."""
     poses: Poses = T_map_keys
     constraints = list(steps)
-    progress = np.linspace(0.0, 1.0, rounds).tolist()
+    progress: list[float] = np.linspace(0.0, 1.0, rounds).tolist()
     while progress:
         constraints = [*steps, *matched(poses, progress.pop(0))]
         before, poses = poses, solve(poses, constraints, 5)
