@@ -53,7 +53,7 @@ from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world
 
-CODE = ("sim", "pipeline/slam", "pipeline/identify", "datasets", "benchmarks/twin.py")
+CODE = ("sim", "pipeline/slam", "pipeline/identify", "pipeline/twin", "datasets", "benchmarks/twin.py")
 PLACES = {"house": "turtlebot3_house", "office": "office:{}", "maze": "maze:{}"}
 WAY_M, DRIVES = 30.0, 20
 ARENA, LOGS = "turtlebot3_world", ("mit-csail", "aces", "fr079", "intel")
