@@ -228,11 +228,7 @@ class Comparison(_Page):
                 name: [one["median"] for one in side["numbers"].values()] for name, side in sides.items()
             }
             return Table({"number": [*sides["A"]["numbers"]], **medians})
-        systems = self.metrics.get("systems")
-        if systems is None:
-            columns = {name: [pair[k] for pair in self.metrics.values()] for k, name in enumerate("AB")}
-            return Table({"number": [*self.metrics], **columns})
-        told = {name: dict(leaves(numbers)) for name, numbers in systems.items()}
+        told = {name: dict(leaves(numbers)) for name, numbers in self.metrics["systems"].items()}
         rows = [*dict.fromkeys(row for numbers in told.values() for row in numbers)]
         columns = {name: [one.get(row) for row in rows] for name, one in told.items()}
         return Table({"number": rows, **columns})
@@ -241,10 +237,7 @@ class Comparison(_Page):
     def _mood_and_verdict(self) -> tuple[str, str]:
         if "systems" in self.metrics:
             return "neutral", SystemComparison(cast(SystemsMetrics, self.metrics), []).sentence
-        if "sides" in self.metrics:
-            return "neutral", str(self.metrics["sentence"])
-        differ = sum(a != b for a, b in self.metrics.values())
-        return "neutral", f"{differ} of {len(self.metrics)} numbers differ."
+        return "neutral", str(self.metrics["sentence"])
 
 
 class Report(_Page):
