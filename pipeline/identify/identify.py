@@ -21,7 +21,7 @@ from turtlebag.pipeline.identify.lidar import lidar_findings
 from turtlebag.pipeline.identify.motors import Commands, motor_findings
 from turtlebag.pipeline.identify.others import encoder_findings, imu_findings
 from turtlebag.pipeline.identify.robot_file import robot_of
-from turtlebag.pipeline.identify.setup import by_the_ruler, range_findings, setup_findings
+from turtlebag.pipeline.identify.setup import by_the_ruler, by_true_turns, range_findings, setup_findings
 from turtlebag.pipeline.identify.setup_plots import setup_plots
 from turtlebag.pipeline.identify.wheels import gyro_findings, wheel_findings
 from turtlebag.pipeline.slam.graph.edits import Edits
@@ -137,7 +137,7 @@ def identified(
     ]
     estimates = [one for part in parts for one in part.estimates]
     plots = {name: plot for part in parts for name, plot in part.plots.items()}
-    estimates = by_the_ruler(_with_stamps(estimates, base), session, base)
+    estimates = by_true_turns(by_the_ruler(_with_stamps(estimates, base), session, base))
     plots = setup_plots(own, session, poses, {one.name: one for one in estimates}) | plots
     return Identification(recording, session, base, tuple(estimates), plots)
 

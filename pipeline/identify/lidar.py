@@ -33,9 +33,10 @@ GRAZED, LEAST_GRAZING = 0.1, 0.002
 # Walls are met across at cosines of more than this; directions of beams may be off by this [rad].
 ACROSS, ASIDE_RAD = 0.7, 0.002
 # Not all that looks like a wall is one: by so large a share each number may be wrong for it.
-MODEL, LOST_MODEL = np.array([0.001, 0.005, 0.015]), np.array([0.02, 0.01])
-# The same of the logarithms of both variances of stamps.
-STAMPS_MODEL = np.array([0.12, 0.05])
+MODEL, LOST_MODEL = np.array([0.001, 0.005, 0.015]), np.array([0.02, 0.0025])
+# The same of the logarithms of both variances of stamps. Delays are uniform, and their variance is known by a
+# smaller variance than that of Gaussian ones, (1.8 - 1) / (3 - 1) by their kurtosis.
+STAMPS_MODEL, STAMPS_SHAPE = np.array([0.12, 0.02]), np.array([1.0, 0.4**0.5])
 # Variance of a unit Gaussian that is cut at three standard deviations; units of the file by those of the fit.
 TRUNCATED, TO_FIT = 0.97334, np.array([1.0, 1.0, np.rad2deg(1.0)])
 # Steps of the readings that are looked for [m].
@@ -320,7 +321,7 @@ def _periods(gaps: Array, period: float) -> list[Estimate]:
     found = [Estimate("rate", rate, sigma, "Hz", STAMPS_EQUATION, "", freedom, True)]
     values = np.exp(0.5 * walk.logs) * [1.0, np.sqrt(12.0) * period]
     own = ("jitter", "1"), ("late_spread", "s")
-    sure = np.hypot(walk.deviations(), STAMPS_MODEL)
+    sure = np.hypot(walk.deviations() * STAMPS_SHAPE, STAMPS_MODEL)
     why = "less than shows beside the stamps' other error"
     for (name, unit), value, of_log in zip(own, values.tolist(), sure.tolist(), strict=True):
         found.append(

@@ -13,10 +13,12 @@ from turtlebag.sim.robots import Limits
 Commands = tuple[Stamps, Array, Array]
 """Times (n,) [ns], forward [m/s] and turning speeds [rad/s]."""
 EQUATION = "speed(t + dt) = speed(t) + clip(command(t - delay) - speed(t), +-acceleration dt)"
-DELAYS_S = np.arange(0.0, 0.605, 0.01)
+# Delays that are tried; below zero, too, for those that look like none.
+DELAY_STEP_S = 0.01
+DELAYS_S = np.arange(-0.1, 0.605, DELAY_STEP_S)
 STEPS = 28
 # An acceleration is known to no better than this share of a step.
-FLOORS = {"max_dv": 0.04, "max_dw": 0.1}
+FLOORS = {"max_dv": 0.02, "max_dw": 0.1}
 # Commands that change by this share of the largest count as changes; so many are needed.
 CHANGE, ENOUGH = 0.1, 5
 
@@ -108,17 +110,18 @@ def _delay(parts: list[Array], changes: list[int], every_s: float, limits: Limit
         return
     both = parts[0].min(axis=2) + parts[1].min(axis=2)
     values, sigmas, freedom = jackknife(both, lambda cost: np.array([_middle(cost)[0]]))
+    # a step has the command that held at its beginning, though half of it may go by before the next acts
+    value = max(float(values[0]) + 0.5 * every_s, 0.0)
     # between two commands or two readings of the speed, any delay is as good
     width = max(_middle(both.sum(axis=0))[1], every_s)
     sigma = float(np.hypot(sigmas[0], 0.6 * width / 1.96))
-    found.estimates.append(Estimate("command_delay", float(values[0]), sigma, "s", EQUATION, "", freedom))
+    found.estimates.append(Estimate("command_delay", value, sigma, "s", EQUATION, "", freedom))
 
 
 def _middle(cost: Array) -> tuple[float, float]:
     """The middle and the width of the delays [s] that explain the speeds as well as the best one does."""
     good = np.flatnonzero(cost <= cost.min() * 1.02 + 1e-9)
-    step = float(DELAYS_S[1])
-    return float(DELAYS_S[good].mean()), float(DELAYS_S[good[-1]] - DELAYS_S[good[0]]) + step
+    return float(DELAYS_S[good].mean()), float(DELAYS_S[good[-1]] - DELAYS_S[good[0]]) + DELAY_STEP_S
 
 
 def _acceleration(

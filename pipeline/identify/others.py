@@ -15,7 +15,7 @@ NOISE_EQUATION = "sigma = |w(k-1) - 2 w(k) + w(k+1)| by the median, over sqrt(6)
 STILL_EQUATION = "mean of the readings while the odometry stands still"
 ENOUGH = 200
 # Share by which motion may raise the noise.
-MOTION = {"gyro_noise": 0.01, "accelerometer_noise": 0.02}
+MOTION = {"gyro_noise": 0.01, "accelerometer_noise": 0.0175}
 
 
 def imu_findings(recording: Recording, base: ImuMount) -> Findings:

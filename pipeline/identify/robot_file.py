@@ -41,9 +41,7 @@ def robot_of(values: Mapping[str, float], recording: Recording, base: RobotSpec)
         "wheel_acceleration": max(
             base.limits.wheel_acceleration, values["max_dv"], values["max_dw"] * wheels.joint_y
         ),
-        "command_delay": min(
-            max(math.ceil(values["command_delay"] * CONTROL_HZ - 0.25), 0) / CONTROL_HZ, 2.0
-        ),
+        "command_delay": min(round(max(values["command_delay"], 0.0) * CONTROL_HZ) / CONTROL_HZ, 2.0),
         **_speeds(recording, base),
     }
     imu = {name: values[name] for name in ("gyro_noise", "accelerometer_noise", "accelerometer_bias")}

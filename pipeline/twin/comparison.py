@@ -100,7 +100,8 @@ def cliffs_delta(a: Array, b: Array) -> float:
 
 
 def _some(values: Array) -> Array:
-    """No more than `MOST` of the values, evenly from all of them."""
+    """No more than `MOST` of the values that are known, evenly from all of them."""
+    values = values[np.isfinite(values)]
     return values[np.linspace(0, len(values) - 1, min(len(values), MOST)).astype(np.int64)]
 
 

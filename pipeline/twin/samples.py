@@ -71,8 +71,8 @@ Samples = dict[str, Array]
 
 
 def samples_of(recording: Recording, mapped: SlamResult, localised: Trajectory) -> Samples:
-    """Samples (n,) of each quantity that a drive shows. `mapped` is its own map, `localised` where a filter
-    has it on that map."""
+    """Samples (n,) of each quantity, NaN where the drive does not show it. `mapped` is its own map,
+    `localised` where a filter has it on that map."""
     rows, own = recording.parts()[0]
     poses = mapped.trajectory.poses[rows]
     found = {**range_samples(own), **odometry_samples(own, poses), **_map_parts(mapped)}
@@ -86,7 +86,7 @@ def samples_of(recording: Recording, mapped: SlamResult, localised: Trajectory) 
     )
     off = localised.poses.xy - mapped.trajectory.poses.xy
     found["localisation"] = np.hypot(*off.T)[:: apart(recording)]
-    return {name: values[np.isfinite(values)] for name, values in found.items()}
+    return found
 
 
 def apart(recording: Recording) -> int:

@@ -78,6 +78,7 @@ def test_the_robot_has_what_was_found_and_the_shape_of_its_base(found):
     assert robot.footprint == base.footprint
     assert robot.wheels.radius / robot.wheels.controller_radius == pytest.approx(found["wheel_scale"].value)
     assert robot.lidar.errors.sigma == found["sigma"].value
+    assert found["command_delay"].value == pytest.approx(0.1, abs=0.006)  # a step is 0.033 s
     assert robot.limits.command_delay == pytest.approx(0.1)
     assert robot.wheels.calibration_error == 0.0
 
