@@ -28,10 +28,10 @@ def test_every_drive_has_a_stated_hash_and_no_hash_is_left_over():
         campaign = load_campaign(name)
         found |= drives(chapter, campaign, cases(campaign))
     assert {name: drive.sha256 for name, drive in found.items()} == yaml.safe_load(HASHES.read_text())
-    assert find_drive("house-realistic-2").command == (
-        "turtlebag record --world turtlebot3_house --teleop tour --seed 2"
+    assert find_drive("house-realistic-1").command == (
+        "turtlebag record --world turtlebot3_house --teleop tour --seed 1"
     )
-    assert "--world office:3" in find_drive("office-faulty-3").command
+    assert "--world office:1" in find_drive("office-faulty-1").command
 
 
 def test_a_line_has_the_median_and_the_range_and_counts_failures():
@@ -99,7 +99,7 @@ def test_an_unknown_input_is_told_in_one_line(tmp_path, capsys):
     assert main(["board", "submit", str(poses), "--input", "house-realistic-9", "--out", str(out)]) == 2
     said = capsys.readouterr().err.splitlines()
     assert said == [
-        "turtlebag: --input house-realistic-9: not an input of the board; did you mean house-realistic-3?"
+        "turtlebag: --input house-realistic-9: not an input of the board; did you mean house-realistic-1?"
     ]
     assert not out.exists()
     assert main(["board"]) == 2
@@ -108,6 +108,31 @@ def test_an_unknown_input_is_told_in_one_line(tmp_path, capsys):
     assert capsys.readouterr().err.splitlines() == [
         "turtlebag: --inputs attic-*: fits no input; for example house-clean-1, barn-25-realistic-1"
     ]
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("lines", "why"),
+    [
+        ("", "no poses"),
+        ("1 0 0 0 0 0 0 1\n", "one pose; a trajectory has two or more"),
+        (
+            "1 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n",
+            "stamps must rise, but pose 2 is not later than the one before",
+        ),
+        ("1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 0\n", "line 2: its quaternion is zero"),
+        ("1 nan 0 0 0 0 0 1\n", "line 1: expected 't x y z qx qy qz qw', all finite"),
+        ("1 0 0 0 0 0 0 1\n" * 7_000_000, "112 MB; a trajectory has at most 100 MB"),
+    ],
+    ids=["empty", "one", "stamp twice", "no quaternion", "nan", "huge"],
+)
+def test_poses_that_no_error_can_be_told_of_are_refused_in_one_line(tmp_path, capsys, lines, why):
+    poses, out = tmp_path / "poses.tum", tmp_path / "out"
+    poses.write_text(lines)
+    assert main(["board", "submit", str(poses), "--input", "arena-realistic-1", "--out", str(out)]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"turtlebag: {poses}")
+    assert said.endswith(why)
     assert not out.exists()
 
 
