@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,10 +68,13 @@ class RunLog:
     def save(self, path: Path) -> None:
         """Write CSV; numbers with 6 decimals, NaN as an empty field."""
         with path.open("w", newline="") as file:
-            columns = [_texts(column) for column in self.columns().values()]
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            writer.writerows(zip(*columns, strict=True))
+            write_header(file)
+            self.write_rows(file)
+
+    def write_rows(self, file: TextIO) -> None:
+        """Append the rows to a file that begins with the header."""
+        columns = [_texts(column) for column in self.columns().values()]
+        csv.writer(file, lineterminator="\n").writerows(zip(*columns, strict=True))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Every column by its name in the file, (n,) each."""
@@ -147,3 +150,8 @@ def _texts(column: NDArray[Any]) -> list[Any]:
     if column.dtype.kind == "f":
         return ["" if value != value else f"{value:.6f}" for value in column.tolist()]
     return (column.astype(np.int64) if column.dtype.kind == "b" else column).tolist()
+
+
+def write_header(file: TextIO) -> None:
+    """The first line of a run log."""
+    csv.writer(file, lineterminator="\n").writerow(COLUMNS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -45,11 +46,15 @@ def stamp_from_text(text: str) -> int:
 
 def save_tum(trajectory: Trajectory, path: Path) -> None:
     """Write one line per pose, in order."""
-    poses = trajectory.poses.xyt.tolist()
     with path.open("w") as file:
-        for stamp, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), poses, strict=True):
-            qz, qw = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
-            file.write(f"{stamp_text(stamp)} {x:.9f} {y:.9f} 0 0 0 {qz:.12f} {qw:.12f}\n")
+        write_tum(trajectory, file)
+
+
+def write_tum(trajectory: Trajectory, file: TextIO) -> None:
+    """Append one line per pose, in order."""
+    for stamp, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), trajectory.poses.xyt.tolist(), strict=True):
+        qz, qw = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+        file.write(f"{stamp_text(stamp)} {x:.9f} {y:.9f} 0 0 0 {qz:.12f} {qw:.12f}\n")
 
 
 COVARIANCES = "poses_with_covariance.csv"

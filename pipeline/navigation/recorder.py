@@ -30,6 +30,9 @@ class RunRecorder:
         self._simulator = simulator
         self._bag = bag
         self._owner = "navigation"
+        self._begin()
+
+    def _begin(self) -> None:
         self._rows: list[Row] = []
         self._truth: list[tuple[int, SE2]] = []
         self._own: list[tuple[int, SE2]] = []

@@ -21,7 +21,7 @@ from turtlebag.pipeline.navigation.status_lines import News, tally, verdict
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.pilot import Pilot, Task, WiggleDriver
 from turtlebag.pipeline.studio.publisher import Publisher
-from turtlebag.pipeline.studio.run_log import SessionRecorder
+from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import Level, Stop, View
 from turtlebag.pipeline.studio.visuals import EventLog, Trails, Visuals
@@ -60,7 +60,7 @@ class Robot:
         self.library = Library(folder, setup.map_path)
         self.publisher, self.trails = Publisher(), Trails()
         self.simulator = Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
-        self.run_log = SessionRecorder(self.simulator, self.publisher)
+        self.run_log = RunLogWriter(folder, self.simulator, self.publisher)
         self.recording: tuple[str, BagWriter] | None = None
         """Name of the bag that is recorded, and the bag."""
         self.bags: tuple[str, ...] = ()
@@ -191,7 +191,7 @@ class Robot:
     def close(self, failure: type[BaseException] | None = None) -> None:
         """Finish the files of the run; after a failure, the open bag as far as it goes."""
         if failure is None:
-            self.run_log.save(self.folder)
+            self.run_log.close()
         elif self.recording is not None:
             self.recording[1].__exit__(failure)
         self.simulator.close()

@@ -1,6 +1,6 @@
 import numpy as np
 
-from turtlebag.datasets.runlog import Row, RunLog
+from turtlebag.datasets.runlog import Row, RunLog, write_header
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 
@@ -27,7 +27,12 @@ def sample_log() -> RunLog:
 def test_parts_of_a_run_log_are_one_log_again(tmp_path):
     log = sample_log()
     RunLog.joined([log, log]).save(tmp_path / "joined.csv")
-    assert len(RunLog.load(tmp_path / "joined.csv")) == 10
+    with (tmp_path / "parts.csv").open("w", newline="") as file:
+        write_header(file)
+        log.write_rows(file)
+        log.write_rows(file)
+    assert (tmp_path / "joined.csv").read_bytes() == (tmp_path / "parts.csv").read_bytes()
+    assert len(RunLog.load(tmp_path / "parts.csv")) == 10
     RunLog.joined([log]).save(tmp_path / "alone.csv")
     log.save(tmp_path / "log.csv")
     assert (tmp_path / "alone.csv").read_bytes() == (tmp_path / "log.csv").read_bytes()
