@@ -25,7 +25,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, get_args
 
-from turtlebag.datasets.fingerprints import fingerprint
+from turtlebag.datasets.outputs import sha256_text
 from turtlebag.reports.metrics.statistics import share_interval
 
 Row = dict[str, Any]
@@ -112,7 +112,8 @@ def code_of(places: tuple[str, ...], root: Path = ROOT) -> str:
     """Fingerprint of the code in folders and files of the project; comments do not count."""
     found = [path for place in places for path in (root / place, *(root / place).rglob("*.py"))]
     files = sorted(path for path in found if path.is_file())
-    return fingerprint([(path.relative_to(root).as_posix(), _bare(path.read_text())) for path in files])[:16]
+    read = [(path.relative_to(root).as_posix(), _bare(path.read_text())) for path in files]
+    return sha256_text(repr(read))[:16]
 
 
 @cache

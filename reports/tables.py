@@ -16,7 +16,7 @@ LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{",
 LATEX |= {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$", "|": "$|$"}
 # After a line's end LaTeX would take these for arguments of the end.
 LATEX |= {"[": "{[}", "*": "{*}"}
-SYMBOLS = {"\u202f": r"\,", "\u2212": r"$-$", "\u2013": "--", "\u2248": r"$\approx$"}
+SYMBOLS = {"\u202f": r"\,", "\u2212": r"$-$", "\u2013": "--"}
 SYMBOLS |= {"°": r"$^\circ$", "²": "$^2$"}
 
 

@@ -17,7 +17,7 @@ from turtlebag.sim.lidar_errors import LidarUnit, incidence
 from turtlebag.sim.nearby import Nearby
 from turtlebag.sim.raycast import beam_rays, cast
 from turtlebag.sim.robots import Lidar as RobotLidar
-from turtlebag.sim.robots import LidarErrors, RobotSpec
+from turtlebag.sim.robots import LidarErrors, Rate, RobotSpec
 from turtlebag.sim.shapes import Sections, Solid, sections
 
 SWEPT_M = 1.0
@@ -42,7 +42,7 @@ class LidarConfig(Settings):
     """With `sensor`: numbers that replace those in the robot's file."""
     sigma: Annotated[float, Field(ge=0.0)] | None = None
     """White noise of each beam [m]. None: 0.01, with `sensor` that of `errors`."""
-    rate_hz: Annotated[float, Field(gt=0.0)] | None = None
+    rate_hz: Rate | None = None
     """Turns per second, a divisor of 30; None: as in the robot's file."""
     dropout: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Chance that a beam comes back as no return (+inf)."""

@@ -26,7 +26,10 @@ CONTACT_GAP_M = 5e-4
 
 
 SUBSTEPS, SOLVER_ITERATIONS = 8, 20
-"""Physics steps a control step (240 Hz), and how often Bullet goes over the contacts in each."""
+"""Physics steps a control step (240 Hz), and how often Bullet goes over the contacts in each.
+
+Fewer iterations leave the wheels' speeds off by half a percent, and with four steps walls give way by 2 mm.
+"""
 BODY_FRICTION = 0.1
 """Caster on the floor, body on walls, which both have 1."""
 
@@ -74,6 +77,8 @@ class Physics:
             fixedTimeStep=PERIOD_S / SUBSTEPS,
             numSubSteps=0,
             numSolverIterations=SOLVER_ITERATIONS,
+            # A cone takes longer, and slips twice as much as it would after 200 iterations.
+            enableConeFriction=0,
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )

@@ -13,7 +13,7 @@ from turtlebag.datasets.grid import FREE, FREE_TO, OCCUPIED_FROM, OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.sim.outlines import Mask, edges, outlines
-from turtlebag.sim.shapes import NO_CIRCLES, NO_SEGMENTS, Bools, Mesh
+from turtlebag.sim.shapes import NO_CIRCLES, NO_SEGMENTS, Bools, Mesh, within
 
 WALL_M = 2.0
 """Height of the walls, above every lidar."""
@@ -39,20 +39,6 @@ class Plan(Mesh):
     def inside(self, z: float, points: Array) -> Bools:
         """Which points (n, 2) lie inside what is solid, (n,)."""
         return within(self.segments, points)
-
-
-def within(segments: Array, points: Array) -> Bools:
-    """Which points (n, 2) lie inside closed outlines of segments (m, 4), by the even-odd rule, (n,)."""
-    x0, y0, x1, y1 = segments.T
-    inside = np.zeros(len(points), dtype=np.bool_)
-    # Points of a row of cells share their y.
-    order = np.argsort(points[:, 1], kind="stable")
-    ys, starts = np.unique(points[order, 1], return_index=True)
-    for y, row in zip(ys.tolist(), np.split(order, starts[1:]), strict=True):
-        cut = (y0 > y) != (y1 > y)
-        at = np.sort(x0[cut] + (y - y0[cut]) / (y1 - y0)[cut] * (x1 - x0)[cut])
-        inside[row] = np.searchsorted(at, points[row, 0], side="right") % 2 == 1
-    return inside
 
 
 def load_plan(path: Path, name: str, *, solid: bool, z: tuple[float, float] = (0.0, WALL_M)) -> Plan:

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, MountedLidar, RobotModel
@@ -27,6 +26,18 @@ Number = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, le=MOST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, le=MOST, allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
+
+
+def _divides(rate_hz: float) -> float:
+    """ValueError when scans would not fall on control steps."""
+    steps = CONTROL_HZ / rate_hz
+    if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
+        raise ValueError(f"{CONTROL_HZ} must be a whole multiple of it, got {rate_hz:g}")
+    return rate_hz
+
+
+Rate = Annotated[Positive, AfterValidator(_divides)]
+"""Turns of a lidar a second."""
 LidarName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]
 
 
@@ -140,7 +151,7 @@ class Lidar(Settings):
     angle_increment_deg: Annotated[Positive, Field(le=360.0)]
     range_min: Positive
     range_max: Positive
-    rate_hz: Positive
+    rate_hz: Rate
     sweep: Annotated[float, Field(ge=-1.0, le=1.0)] = 1.0
     """Share of a turn during which beams are taken; negative: in the opposite order, from the last one on."""
     errors: LidarErrors = LidarErrors()
@@ -168,7 +179,7 @@ class Lidar3dMount(Settings):
     n_azimuths: int = Field(gt=0, le=10_000)
     range_min: Positive
     range_max: Positive
-    rate_hz: Positive
+    rate_hz: Rate
 
 
 class ImuMount(Settings):
@@ -240,22 +251,7 @@ class RobotSpec(Settings):
 
 def load_robot(name_or_path: str) -> RobotSpec:
     """A built-in robot by name or a YAML file by path; InputError for unknown names lists the known."""
-    path = find_named(name_or_path, FOLDER, "robot")
-    spec = load_model(RobotSpec, path)
-    for lidar in spec.lidars.values():
-        check_rate(lidar.rate_hz, str(path))
-    if spec.lidar3d is not None:
-        check_rate(spec.lidar3d.rate_hz, str(path))
-    return spec
-
-
-def check_rate(rate_hz: float, where: str) -> None:
-    """InputError when scans would not fall on control steps."""
-    steps = CONTROL_HZ / rate_hz
-    if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
-        raise InputError(
-            f"{where}: lidar.rate_hz: {CONTROL_HZ} must be a whole multiple of it, got {rate_hz:g}"
-        )
+    return load_model(RobotSpec, find_named(name_or_path, FOLDER, "robot"))
 
 
 def stamp_of(step: float) -> int:

@@ -94,13 +94,7 @@ class Mesh(Solid):
 
     def inside(self, z: float, points: Array) -> Bools:
         """Which points (n, 2) lie inside its slice at height z, by counting crossings, (n,)."""
-        segments = slice_triangles(self.triangles, z)
-        x0, y0, x1, y1 = segments.T
-        px, py = points[:, :1], points[:, 1:]
-        spans = (y0 > py) != (y1 > py)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = x0 + (py - y0) / (y1 - y0) * (x1 - x0)
-        return np.asarray(np.sum(spans & (px < at), axis=1) % 2 == 1)
+        return within(slice_triangles(self.triangles, z), points)
 
 
 def slice_triangles(triangles: Array, z: float) -> Array:
@@ -120,6 +114,20 @@ def slice_triangles(triangles: Array, z: float) -> Array:
             segments[cut, 2 * filled[cut] + axis] = points[:, axis]
         filled[cut] += 1
     return segments
+
+
+def within(segments: Array, points: Array) -> Bools:
+    """Which points (n, 2) lie inside closed outlines of segments (m, 4), by the even-odd rule, (n,)."""
+    x0, y0, x1, y1 = segments.T
+    inside = np.zeros(len(points), dtype=np.bool_)
+    # Points of a row of cells share their y.
+    order = np.argsort(points[:, 1], kind="stable")
+    ys, starts = np.unique(points[order, 1], return_index=True)
+    for y, row in zip(ys.tolist(), np.split(order, starts[1:]), strict=True):
+        cut = (y0 > y) != (y1 > y)
+        at = np.sort(x0[cut] + (y - y0[cut]) / (y1 - y0)[cut] * (x1 - x0)[cut])
+        inside[row] = (len(at) - np.searchsorted(at, points[row, 0], side="right")) % 2 == 1
+    return inside
 
 
 def prism(name: str, polygon: Array, z: tuple[float, float], reflectivity: float = 1.0) -> Solid:

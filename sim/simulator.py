@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from turtlebag.sim.lidar3d import Lidar3d
 from turtlebag.sim.lidar_sweeps import Sweep
 from turtlebag.sim.physics import Physics, PhysicsConfig
 from turtlebag.sim.robots import CONTROL_HZ as CONTROL_HZ
-from turtlebag.sim.robots import LidarErrors, RobotSpec, check_rate, stamp_of
+from turtlebag.sim.robots import LidarErrors, RobotSpec, stamp_of
 from turtlebag.sim.shapes import Solid
 from turtlebag.sim.surroundings import Surroundings
 from turtlebag.sim.wheels import Board, OdometryConfig
@@ -108,13 +108,12 @@ class _Sensors:
             moving = [mover.solid for mover in world.movers]
             head3d = Lidar3d(world.shapes, mount, sigma, stream(seed, "lidar3d"), moving)
             self.spatial = Sweep(head3d, round(CONTROL_HZ / mount.rate_hz), step, turning=turning)
+        self._sweeps: list[Sweep[Any]] = [*self.planar, *([] if self.spatial is None else [self.spatial])]
 
     def surround(self, solids: list[Solid]) -> None:
         """These solids stand there from now on."""
-        for sweep in self.planar:
+        for sweep in self._sweeps:
             sweep.lidar.surround(solids)
-        if self.spatial is not None:
-            self.spatial.lidar.surround(solids)
 
     def note_movers(self, around: Surroundings, step: int) -> None:
         """Where the movers stand at a control step."""
@@ -126,10 +125,8 @@ class _Sensors:
 
     def put_down(self, T_world_base: SE2) -> None:
         """The robot was carried here: of the sweeps under way there is no scan."""
-        for sweep in self.planar:
+        for sweep in self._sweeps:
             sweep.put_down(T_world_base.xyt)
-        if self.spatial is not None:
-            self.spatial.put_down(T_world_base.xyt)
 
     def scans(self, step: int, pose: Array) -> Iterator[tuple[Scan, SE2]]:
         """The scans whose turns end in this step, and the true poses at their stamps."""
@@ -165,8 +162,6 @@ class Simulator:
     ) -> None:
         self.world, self.robot, self.seed = world, robot, seed
         self.config = (config or SimConfig()).resolved(robot)
-        for lidar in robot.lidars.values():
-            check_rate(self.config.lidar.rate_hz or lidar.rate_hz, "sim")
         moving = [mover.solid for mover in world.movers]
         self._physics = Physics(world.shapes, moving, robot, self.config.physics)
         self._step = -1

@@ -9,7 +9,7 @@ from typing import Any
 from turtlebag.datasets.bags.source import LOGS, PACKED, SUFFIXES
 from turtlebag.datasets.bags.topics import METADATA_FILE
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.fingerprints import fingerprint
+from turtlebag.datasets.outputs import sha256_text
 from turtlebag.datasets.urls import filesystem, is_local
 from turtlebag.pipeline.campaign.store import or_else
 
@@ -62,7 +62,7 @@ def bags_below(files: Any, folder: str) -> dict[str, str]:
             parts[whole].append(_version(info))
         elif path.lower().endswith(RECORDED):
             bags[path] = _version(info)
-    return bags | {whole: fingerprint(versions) for whole, versions in parts.items()}
+    return bags | {whole: sha256_text(repr(versions)) for whole, versions in parts.items()}
 
 
 def _parent(path: str) -> str:

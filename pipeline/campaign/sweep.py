@@ -16,9 +16,8 @@ from pathlib import Path
 from llvmlite.binding import get_host_cpu_name
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.datasets.output_lock import lock_output
-from turtlebag.datasets.outputs import Output, Stopwatch, package_versions, sha256_tree
+from turtlebag.datasets.outputs import Output, Stopwatch, package_versions, sha256_text, sha256_tree
 from turtlebag.datasets.plurals import counted
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
@@ -183,7 +182,7 @@ def _where(plan: Plan, store: str | None, folder: Path, scheduler: str | None) -
 def maker_of(inputs: Mapping[str, Path]) -> str:
     """Fingerprint of all that shapes an output besides its command, of a campaign that reads these files."""
     read = {name: sha256_tree(path) for name, path in inputs.items() if name != "campaign"}
-    return fingerprint([surroundings(), read])
+    return sha256_text(repr([surroundings(), read]))
 
 
 def _begin(where: Where, campaign: Campaign, *, force: bool) -> None:
@@ -223,7 +222,7 @@ def surroundings() -> str:
     )
     read = [(path.relative_to(ROOT).as_posix(), path.read_bytes()) for path in files]
     machine = [platform.python_version(), platform.machine(), get_host_cpu_name()]
-    return fingerprint([read, package_versions(), machine])
+    return sha256_text(repr([read, package_versions(), machine]))
 
 
 def _run(

@@ -5,26 +5,15 @@ from __future__ import annotations
 from turtlebag.datasets.plurals import counted
 from turtlebag.pipeline.terminal.messages import print_table, say
 from turtlebag.reports.compare import Comparison
-from turtlebag.reports.run_comparison import RunComparison
 from turtlebag.reports.system_comparison import SystemComparison
 
 
-def print_comparison(found: Comparison | RunComparison | SystemComparison) -> None:
+def print_comparison(found: Comparison | SystemComparison) -> None:
     """The differences as a table."""
     if isinstance(found, SystemComparison):
         _print_systems(found)
-    elif isinstance(found, RunComparison):
-        _print_runs(found)
     else:
-        _print_outputs(found)
-
-
-def _print_outputs(found: Comparison) -> None:
-    for key, one, other in found.settings:
-        say(f"{key}: {one} -> {other}")
-    rows = [(row.spec.label, *row.texts, row.difference, row.relative) for row in found.rows]
-    print_table([("", "A", "B", "B - A", ""), *rows] if rows else [])
-    say(f"{counted(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
+        _print_runs(found)
 
 
 def _print_systems(found: SystemComparison) -> None:
@@ -35,7 +24,7 @@ def _print_systems(found: SystemComparison) -> None:
     say(found.sentence)
 
 
-def _print_runs(found: RunComparison) -> None:
+def _print_runs(found: Comparison) -> None:
     for side in found.sides:
         say(side.title)
     for key, texts in found.settings:
@@ -49,3 +38,6 @@ def _print_runs(found: RunComparison) -> None:
     print_table([tuple(heads), *map(tuple, lines)] if lines else [])
     for sentence in found.sentences:
         say(sentence)
+    if found.pair is not None:
+        same, other = len(found.pair.same_bytes), len(found.pair.changed)
+        say(f"{counted(same, 'file')} identical, {other} different")

@@ -16,9 +16,8 @@ from turtlebag.pipeline.navigation.mission import Request
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.pipeline.stages.record import Scene, record
-from turtlebag.pipeline.stages.sources import MapInputs, Source
+from turtlebag.pipeline.stages.requests.maps import MapRequest
 from turtlebag.pipeline.terminal.messages import log
-from turtlebag.reports.metrics.references import References
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
@@ -61,8 +60,7 @@ def _record_and_map(folder: Path) -> None:
     script = folder / "trial.yaml"
     script.write_text(SCRIPT)
     record(Scene.load(WORLD, ROBOT, 0), str(script), Output(folder / "record"))
-    truth = References.load(folder / "record" / "truth")
-    build_map(MapInputs(Source(folder / "record")), Output(folder / "map"), references=truth)
+    build_map(MapRequest(source=folder / "record", truth=folder / "record"), Output(folder / "map"))
 
 
 def _navigate(folder: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
@@ -14,17 +13,20 @@ from turtlebag.pipeline.stages.other_systems import inputs_of, measured, ours_of
 from turtlebag.pipeline.stages.recipe import command_of
 from turtlebag.pipeline.stages.requests.options import flag_of
 from turtlebag.pipeline.stages.requests.pages import SYSTEM_OPTIONS, CompareRequest
-from turtlebag.reports.compare import Comparison, compare, draw_comparison
+from turtlebag.reports.compare import Comparison, compare, draw_pair
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import fill
-from turtlebag.reports.run_comparison import RunComparison, compare_runs
 from turtlebag.reports.stages import Stage, load_stage
 from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
 
 
-def compare_as_asked(
-    request: CompareRequest, out: Output | None
-) -> Comparison | RunComparison | SystemComparison:
+def compare_with_page(request: CompareRequest, out: Output) -> int:
+    """Write the page of a comparison; 0."""
+    compare_as_asked(request, out)
+    return 0
+
+
+def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison | SystemComparison:
     """The comparison of outputs or runs, or of ours and other systems'; with `out` as a page too."""
     out = out and recorded(request, out)
     for name, path in request.b:
@@ -40,25 +42,28 @@ def compare_as_asked(
             raise InputError(
                 f"{flag_of(option)}: only for files of other systems; {folders[1]} is an output of turtlebag"
             )
-    if len(folders) == 2 and all((folder / "manifest.json").is_file() for folder in folders):
-        return compare_outputs(folders[0], folders[1], out)
-    return compare_sides(folders, out)
+    return compare_outputs(folders, out)
 
 
-def compare_sides(folders: Sequence[Path], out: Output | None = None) -> RunComparison:
+def compare_outputs(folders: Sequence[Path], out: Output | None = None) -> Comparison:
     """Numbers and settings of several sides: each folder is an output, or holds the outputs of several runs.
 
-    With `out` also `index.html`, `metrics.json` and the manifest.
+    With `out` also `index.html`, `metrics.json` and the manifest, and of two outputs `figures/*.png`.
     """
-    sides = [(folder.resolve().name, _runs(folder)) for folder in folders]
-    found = compare_runs(sides)
+    found = compare([(folder.resolve().name, _runs(folder)) for folder in folders])
     if out is None:
         return found
     commands = [
-        command_of(run, f"{side.letter}/{run.folder.name}") for side in found.sides for run in side.stages
+        command_of(run, f"{side.letter}/{run.folder.name}" if len(side.stages) > 1 else side.letter)
+        for side in found.sides
+        for run in side.stages
     ]
     with out.staged() as partial:
-        (partial / "index.html").write_text(fill("compare_runs.html.j2", found=found, commands=commands))
+        album = Album(partial / "figures")
+        if found.pair is not None:
+            draw_pair(found.pair, album)
+        page = fill("compare.html.j2", found=found, commands=commands, pictures=album.pictures)
+        (partial / "index.html").write_text(page)
         inputs = {side.letter: folder for side, folder in zip(found.sides, folders, strict=True)}
         out.finish(partial, "compare", inputs, metrics=found.metrics)
     return found
@@ -73,28 +78,6 @@ def _runs(folder: Path) -> list[Stage]:
             raise InputError(f"{folder}: is no finished output, and holds none")
         return [load_stage(run) for run in runs]
     return [load_stage(folder)]
-
-
-def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
-    """Numbers, settings and files of two outputs of one stage.
-
-    With `out` also `index.html`, `figures/*.png`, `metrics.json` and the manifest.
-    """
-    stages = load_stage(a), load_stage(b)
-    found = compare(*stages)
-    if out is None:
-        return found
-    names = {"name_a": f"A: {a.resolve().name}", "name_b": f"B: {b.resolve().name}"}
-    commands = [command_of(stage, name) for stage, name in zip(stages, "AB", strict=True)]
-    with out.staged() as folder:
-        album = Album(folder / "figures")
-        draw_comparison(*stages, album)
-        told: dict[str, Any] = {"found": found, "commands": commands, "pictures": album.pictures}
-        page = fill("compare.html.j2", **names, **told)
-        (folder / "index.html").write_text(page)
-        metrics = {row.spec.path: row.values for row in found.rows}
-        out.finish(folder, "compare", {"A": a, "B": b}, metrics=metrics)
-    return found
 
 
 def compare_with_systems(

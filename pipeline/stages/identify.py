@@ -15,35 +15,28 @@ from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.identify.identify import Identification, Streams, identify, require_motion
 from turtlebag.pipeline.identify.robot_file import nav2_yaml, scan_filter, transform_arguments
 from turtlebag.pipeline.slam.mapper import SlamConfig
-from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
-from turtlebag.pipeline.stages.sources import Source
+from turtlebag.pipeline.stages.requests.robots import IdentifyRequest, TwinRequest
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.sources import recording_of
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.robots import draw_plots
 from turtlebag.reports.identify import identify_page
-from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.robots import RobotSpec, load_robot
 
 
-def identify_robot(
-    source: Source,
-    base: RobotSpec,
-    out: Output,
-    *,
-    config: ConfigSource = None,
-    settings: Chosen = (),
-    files: dict[str, Path] | None = None,
-) -> int:
-    """Write the robot of a recording; 0. `files` are those that `base` comes from. InputError for a recording
-    without scans, odometry or motion."""
-    watch, settled = Stopwatch(), load_config(SlamConfig, config, settings)
-    recording = source.load()
+def identify_robot(request: IdentifyRequest, out: Output) -> int:
+    """Write the robot of a recording; 0. InputError for a recording without scans, odometry or motion."""
+    base, files = base_of(request)
+    watch, settled = Stopwatch(), load_config(SlamConfig, request.config, request.settings)
+    recording = recording_of(request)
     require_motion(recording)
     tell_of(recording)
-    found = identify(recording, base, Streams.of(source.path), settled, track)
+    found = identify(recording, base, Streams.of(request.source), settled, track)
     parts = settled.parts()
     with out.staged() as folder:
-        write_identification(found, folder, source.path)
-        inputs = {"source": source.path, **(files or {}), **source_files(parts)}
+        write_identification(found, folder, request.source)
+        inputs = {"source": request.source, **files, **source_files(parts)}
         out.finish(
             folder, "identify", inputs, metrics=metrics_of(found), config=config_text(settled),
             extra={"robot": base.name, "parts": parts},
@@ -52,6 +45,12 @@ def identify_robot(
     of = f"{shown} of {len(found.estimates)} parameters"
     log.info(f"{of} in {watch.seconds():.1f} s -> {out.folder / 'robot.yaml'}")
     return 0
+
+
+def base_of(request: IdentifyRequest | TwinRequest) -> tuple[RobotSpec, dict[str, Path]]:
+    """The robot that gives what no recording shows, and its file if it is one of the user's."""
+    place = Path(request.robot)
+    return load_robot(request.robot), {"robot": place} if place.is_file() else {}
 
 
 def tell_of(recording: Recording) -> None:

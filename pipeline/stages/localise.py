@@ -33,7 +33,7 @@ from turtlebag.pipeline.slam.sensors.corrected import delay_metrics, in_agreemen
 from turtlebag.pipeline.stages.requests.maps import LocaliseRequest
 from turtlebag.pipeline.stages.requests.options import chosen_settings
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config, settings_of
-from turtlebag.pipeline.stages.sources import Source, pose_or_word
+from turtlebag.pipeline.stages.sources import pose_or_word, recording_of
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.reports.metrics.navigation import localisation_errors
@@ -77,7 +77,7 @@ def localise(request: LocaliseRequest, out: Output) -> int:
     grid, initial_pose = load_map(request.map), pose_or_word(request.initial_pose)
     if isinstance(initial_pose, SE2):
         require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), request.map)
-    recording = aligned_in_time(Source.of(request).load())
+    recording = aligned_in_time(recording_of(request))
     truth = None if request.truth is None else truth_folder(request.truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)

@@ -26,10 +26,11 @@ from turtlebag.pipeline.slam.session_file import load_session, require_same_fron
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.stages.map3d import map_clouds
 from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
+from turtlebag.pipeline.stages.requests.maps import MapRequest
 from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
-from turtlebag.pipeline.stages.sources import MapInputs
+from turtlebag.pipeline.stages.sources import recording_of
 from turtlebag.pipeline.terminal.messages import log, log_notes, track
-from turtlebag.reports.metrics.references import NO_REFERENCES, References
+from turtlebag.reports.metrics.references import References
 
 TAKEN = (
     "map", "before", "confidence", "config", "explain", "graph", "manifest", "metrics",
@@ -38,30 +39,21 @@ TAKEN = (
 """Names of our own files in the folder of a map."""
 
 
-def build_map(
-    inputs: MapInputs,
-    out: Output,
-    *,
-    references: References = NO_REFERENCES,
-    config: ConfigSource = None,
-    settings: Chosen = (),
-    named: str | None = None,
-    explain: bool = False,
-) -> int:
-    """Map `inputs` into the folder of `out`; 0 done, 1 when the truth says that the map is bad.
+def build_map(request: MapRequest, out: Output) -> int:
+    """Map recordings into the folder of `out`; 0 done, 1 when the truth says that the map is bad.
 
-    `references` add metrics. `named` is a name by which the map is saved too, as `map_saver -f` would.
     InputError when anything given cannot be used, before anything is written.
     """
-    _require_name(named)
+    references = References.load(request.truth, request.relations)
+    _require_name(request.name)
     watch = Stopwatch()
     with known_truth(references.true_pose):
-        made = _mapped(inputs, config, settings, explain=explain)
+        made = _mapped(request)
     slam_s = watch.seconds()
     metrics = _metrics(made, references)
     with out.staged() as folder:
-        save_mapped(made, folder, named)
-        read = {**inputs.files(), **references.inputs, **source_files(made.manifest.get("parts", {}))}
+        save_mapped(made, folder, request.name)
+        read = {**_files(request), **references.inputs, **source_files(made.manifest.get("parts", {}))}
         pace = {"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
         out.finish(
             folder,
@@ -74,25 +66,31 @@ def build_map(
     return 0 if tell_map(metrics, out.folder, slam_s) else 1
 
 
-def _mapped(inputs: MapInputs, config: ConfigSource, settings: Chosen, *, explain: bool) -> Mapped:
+def _files(request: MapRequest) -> dict[str, Path]:
+    """What is read, by the names that a manifest gives it."""
+    continued = None if request.continued is None else request.continued / GRAPH
+    also = {f"also_{k}": path for k, path in enumerate(request.also, start=1)}
+    others = {"continued": continued, "edits": request.edits}
+    return {"source": request.source, **also, **{name: path for name, path in others.items() if path}}
+
+
+def _mapped(request: MapRequest) -> Mapped:
     """Map planar scans, or where the source has none, its point clouds."""
-    edits = Edits() if inputs.edits is None else load_edits(inputs.edits)
-    earlier = None if inputs.continued is None else load_session(inputs.continued)
-    source = inputs.source
+    edits = Edits() if request.edits is None else load_edits(request.edits)
+    earlier = None if request.continued is None else load_session(request.continued)
     try:
-        first = source.load()
+        first = recording_of(request)
     except NoScans as error:
         if not error.clouds:
             raise
-        inputs.refuse_planar()
-        return map_clouds(source.path, next(iter(source.topics), None), config, settings, explain=explain)
-    settled = _settled(config, settings)
-    recordings = [first, *inputs.later()]
+        return map_clouds(request)
+    settled = _settled(request.config, request.settings)
+    recordings = [first, *(recording_of(request, path) for path in request.also)]
     notes = [note for one in recordings for note in _notes(one, several=len(recordings) > 1)]
-    if inputs.continued is not None and earlier is not None:
-        notes += require_same_front_end(inputs.continued, earlier[1], settled)
+    if request.continued is not None and earlier is not None:
+        notes += require_same_front_end(request.continued, earlier[1], settled)
     log_notes(notes)
-    return map_scans(recordings, settled, earlier and earlier[0], edits, explain=explain)
+    return map_scans(recordings, settled, earlier and earlier[0], edits, explain=request.explain)
 
 
 def _metrics(made: Mapped, references: References) -> Mapping[str, object]:

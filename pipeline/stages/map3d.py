@@ -8,29 +8,37 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.bags.point_clouds import load_clouds
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.pipeline.slam.explain import candidate, moved, worst_edges
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
+from turtlebag.pipeline.stages.command_line import flag_of_field
 from turtlebag.pipeline.stages.map_summary import Mapped
-from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
+from turtlebag.pipeline.stages.requests.maps import MapRequest
+from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import log_notes, track
 
+PLANAR = ("topic", "also", "laser", "continued", "edits")
+"""Fields of a request that only planar scans can be mapped with, of topics more than one."""
 
-def map_clouds(
-    source: Path, topic: str | None, config: ConfigSource, settings: Chosen, *, explain: bool
-) -> Mapped:
+
+def map_clouds(request: MapRequest) -> Mapped:
     """Map the point clouds of a bag; InputError when anything given cannot be used."""
-    resolved = load_config(Slam3dConfig, config, settings)
-    recording = load_clouds(source, topic)
+    for name in PLANAR:
+        if getattr(request, name) and not (name == "topic" and len(request.topic) == 1):
+            option, source = flag_of_field(request, name), request.source
+            raise InputError(f"{option}: for 2D scans only, but {source} is mapped in 3D")
+    resolved = load_config(Slam3dConfig, request.config, request.settings)
+    recording = load_clouds(request.source, next(iter(request.topic), None))
     result = run_slam_3d(recording, resolved, track)
     log_notes((*recording.notes, *result.setup.notes))
 
     def write(folder: Path) -> None:
         save_ply(folder / "map.ply", result.points)
         save_tum_3d(recording.stamps_ns, result.T_map_base, folder / "trajectory.tum")
-        if explain:
+        if request.explain:
             write_json(folder / "explain.json", explanation(result))
 
     T = result.T_map_keys

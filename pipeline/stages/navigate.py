@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,6 +16,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import map_files, save_map
 from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.parts import source_files
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.config import NavigateConfig
@@ -24,13 +26,55 @@ from turtlebag.pipeline.navigation.mission import Mission, Request
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.teleop_override import Source, script_text
 from turtlebag.pipeline.stages.record import save_truth
+from turtlebag.pipeline.stages.requests.drives import NavigateRequest
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.sources import pose_or_word
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
 from turtlebag.pipeline.terminal.messages import log, redrawn, say, simulated_time
-from turtlebag.planners.costmap import area_mask
+from turtlebag.planners.costmap import Area, area_mask
+from turtlebag.planners.tasks.waypoints import load_keepout
 from turtlebag.reports.metrics.navigation import RunMetrics
-from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world, own_files
+
+
+def navigate_as_asked(request: NavigateRequest, out: Output) -> int:
+    """Run the task of a request; the exit code of `navigate`."""
+    settings = request.settings | ({"avoid.mode": request.mode} if request.mode else {})
+    drive = Request(
+        task=request.task,
+        seed=request.seed,
+        map_path=request.map,
+        start=None if request.start is None else SE2.from_xyt(*request.start),
+        initial_pose=pose_or_word(request.initial_pose),
+        goal=None if request.goal is None else SE2.from_xyt(*request.goal),
+        waypoints_path=request.waypoints,
+        laps=request.laps,
+        timeout_s=request.timeout,
+        duration_s=request.duration,
+        wiggle=request.wiggle,
+        teleop_override=request.teleop_override,
+        keepout=_areas(request.keepout),
+        keepout_path=None if request.keepout in (None, "none") else Path(request.keepout),
+    )
+    world = load_world(request.world)
+    files = own_files(request.world, request.robot)
+    return navigate(
+        world,
+        load_robot(request.robot or world.robot),
+        drive,
+        out,
+        config=load_config(NavigateConfig, request.config, settings),
+        say=say if log.isEnabledFor(logging.INFO) else lambda line: None,
+        files=files | ({"config": request.config} if isinstance(request.config, Path) else {}),
+    )
+
+
+def _areas(keepout: Path | str | None) -> tuple[Area, ...] | None:
+    """The areas of a file, or none; None: the world's own."""
+    return load_keepout(keepout) if isinstance(keepout, Path) else None if keepout is None else ()
 
 
 def navigate(

@@ -16,13 +16,15 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.initial_pose import require_free
+from turtlebag.pipeline.stages.requests.maps import PlanRequest
+from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import path_clearance, sample_footprint
 from turtlebag.planners.global_plan import plan_path
 from turtlebag.planners.ompl_planner import PlannerName, ompl_loads
 from turtlebag.planners.planner import NoPath, Plan, PlanConfig
-from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.robots import RobotSpec, load_robot
 
 
 class PlanStageConfig(Settings, allow_inf_nan=False):
@@ -62,15 +64,16 @@ class Query:
             require_free(f"{options}{what}", pose, costmap, self.robot.model, map_path)
 
 
-def plan(
-    map_path: Path, query: Query, out: Output, *, config: PlanStageConfig | None = None, compare: bool = False
-) -> int:
+def plan(request: PlanRequest, out: Output) -> int:
     """Plan from start to goal; 0 with a path, 1 without, both with complete outputs.
 
     With `compare` every planner is asked: its path goes to path-NAME.csv, its numbers to `planners` of the
     metrics. Raises InputError, with nothing written, when start or goal is off the map or in an obstacle.
     """
-    config = config or PlanStageConfig()
+    map_path, compare, robot = request.map, request.compare, load_robot(request.robot)
+    query = Query(robot, SE2.from_xyt(*request.start), SE2.from_xyt(*request.goal), request.seed)
+    settings = request.settings | planner_settings(request.planner)
+    config = load_config(PlanStageConfig, request.config, settings)
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
     query.require_free(costmap, map_path, "--")
     route, reason, planning_s = search(costmap, query, config)

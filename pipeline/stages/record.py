@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.requests.drives import KeyboardRequest, RecordRequest
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.interrupts import deferred_interrupt, require_no_hangup
-from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
+from turtlebag.pipeline.terminal.messages import Simulated, log, redrawn, simulated_time
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
 from turtlebag.sim.script_driver import Stuck
 from turtlebag.sim.simulator import SimConfig, Simulator, Truth
@@ -60,6 +61,24 @@ def save_truth(folder: Path, truth: Trajectory, world: World, robot: RobotSpec) 
     save_tum(truth, folder / "trajectory.tum")
     z = robot.lidar_height
     save_true_map(world.rasterize(z), world.circles(z), folder)
+
+
+def record_script(request: RecordRequest, out: Output) -> int:
+    """Record what a request for a recording asks for; the exit code of `record`."""
+    return record(scene_of(request), request.teleop, out)
+
+
+def record_keyboard(request: KeyboardRequest, out: Output) -> int:
+    """Record a drive with the keyboard; the exit code of `record`."""
+    from turtlebag.pipeline.terminal import keyboard_teleop
+
+    scene = scene_of(request)
+    state = keyboard_teleop.KeyState(scene.robot.limits, request.style)
+    keyboard_teleop.show(keyboard_teleop.TABLES[request.style] + "\n")
+    with keyboard_teleop.keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
+        driver = keyboard_teleop.keyboard_driver(state, read_keys, keyboard_teleop.clock(request.speed))
+        shown = keyboard_teleop.StatusLine(state, redraw)
+        return record_drive(scene, driver, f"keyboard:{request.style}", out, watch=shown)
 
 
 def record(scene: Scene, teleop: str, out: Output) -> int:

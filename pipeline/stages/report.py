@@ -10,8 +10,9 @@ from pathlib import Path
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.stages.other_systems import for_manifest, inputs_of, measured_in
+from turtlebag.pipeline.stages.other_systems import for_manifest, inputs_of, measured_in, systems_of
 from turtlebag.pipeline.stages.recipe import packages, recipe
+from turtlebag.pipeline.stages.requests.pages import ReportRequest
 from turtlebag.pipeline.terminal.messages import drawing
 from turtlebag.reports.content import build_chapter
 from turtlebag.reports.figures.album import Album
@@ -24,6 +25,16 @@ from turtlebag.reports.stages import load_stage
 from turtlebag.reports.system_comparison import compare_systems, write_pairs
 from turtlebag.reports.tables import write_tables
 from turtlebag.reports.verdicts import BAD, GOOD
+
+
+def report(request: ReportRequest, out: Output) -> int:
+    """Write the page of outputs, or the table of all below their folders; 0."""
+    if request.index:
+        make_index(request.folders, out)
+    else:
+        others = systems_of(request, request.system)
+        make_report(request.folders, out, others=others, animate=request.animate, paper=request.paper)
+    return 0
 
 
 def make_report(

@@ -13,6 +13,7 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.teleop_override import Script
+from turtlebag.pipeline.stages.requests.studio import StudioRequest
 from turtlebag.pipeline.studio.inputs import Drive, Input, Plain
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.pipeline.studio.session import Session
@@ -56,6 +57,11 @@ def studio_output(
             extra={**about, "out": str(out.folder), **pace},
         )
     log.info(f"{simulated_s:.1f} simulated seconds -> {out.folder}")
+
+
+def replay_as_asked(request: StudioRequest, out: Output) -> int:
+    """Replay the session that a request names; the exit code of `replay`."""
+    return replay(request.replayed(), out, say=log.info)
 
 
 def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say) -> int:

@@ -23,13 +23,14 @@ from turtlebag.pipeline.identify.identify import Identification, Streams, identi
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.slam.graph.edits import Edits
 from turtlebag.pipeline.slam.mapper import SlamConfig, SlamResult, run_slam
-from turtlebag.pipeline.stages.identify import tell_of, write_identification
+from turtlebag.pipeline.stages.identify import base_of, tell_of, write_identification
 from turtlebag.pipeline.stages.localise import LocaliseConfig, aligned_in_time, run_amcl
 from turtlebag.pipeline.stages.map import map_scans, save_mapped
 from turtlebag.pipeline.stages.map_summary import Mapped, summary
 from turtlebag.pipeline.stages.record import Scene, record_drive
-from turtlebag.pipeline.stages.settings import Chosen, ConfigSource, load_config
-from turtlebag.pipeline.stages.sources import Source
+from turtlebag.pipeline.stages.requests.robots import TwinRequest
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.sources import recording_of
 from turtlebag.pipeline.terminal.messages import log, track
 from turtlebag.pipeline.twin.comparison import Difference, compare
 from turtlebag.pipeline.twin.driver import Drive
@@ -55,39 +56,30 @@ class Looked:
     samples: Samples
 
 
-def make_twin(
-    source: Source,
-    base: RobotSpec,
-    out: Output,
-    *,
-    drives: int = 3,
-    seed: int = 1,
-    config: ConfigSource = None,
-    settings: Chosen = (),
-    files: dict[str, Path] | None = None,
-) -> int:
-    """Write the twin of a recording, and drive it `drives` times; 0. `files` are those of `base`.
+def make_twin(request: TwinRequest, out: Output) -> int:
+    """Write the twin of a recording, and drive it as often as asked; 0.
 
     InputError for a recording without scans, odometry or motion, or with no place to start from on its map.
     """
-    watch, settled = Stopwatch(), load_config(SlamConfig, config, settings)
-    recording = source.load()
+    (base, files), seed = base_of(request), request.seed
+    watch, settled = Stopwatch(), load_config(SlamConfig, request.config, request.settings)
+    recording = recording_of(request)
     require_motion(recording)
     mapped = map_scans([recording], settled, None, Edits(), explain=False)
     result = mapped.result
     assert isinstance(result, SlamResult)
     tell_of(recording)
-    streams = Streams.of(source.path)
+    streams, source = Streams.of(request.source), request.source
     found = identified(recording, result.session, base, streams)
     with out.staged() as folder:
-        drive = write_twin(mapped, found, Drive.of(result.trajectory, streams.commands), folder, source.path)
+        drive = write_twin(mapped, found, Drive.of(result.trajectory, streams.commands), folder, source)
         real = _looked(recording, result, seed)
-        simulated = [_simulated(folder, found, drive, settled, seed, k) for k in range(drives)]
+        simulated = [_simulated(folder, found, drive, settled, seed, k) for k in range(request.drives)]
         differences = compare(real.samples, [one.samples for one in simulated])
-        _write_page(folder, source.path, found, differences, real, simulated)
+        _write_page(folder, source, found, differences, real, simulated)
         parts = settled.parts()
-        inputs = {"source": source.path, **(files or {}), **source_files(parts)}
-        metrics = metrics_of(recording, drives, differences)
+        inputs = {"source": source, **files, **source_files(parts)}
+        metrics = metrics_of(recording, request.drives, differences)
         out.finish(
             folder, "twin", inputs, metrics=metrics, config=config_text(settled), seed=seed,
             extra={"robot": base.name, "parts": parts},

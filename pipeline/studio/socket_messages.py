@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.durations import seconds
+from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.outputs import plain
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.studio.tiles import GridTiles
-from turtlebag.pipeline.studio.view import BagMarks, Scene, View
+from turtlebag.pipeline.studio.view import BagMarks, CostLayer, MapLayer, Scene, View
 from turtlebag.pipeline.terminal.keyboard_teleop import STEP_V, STEP_W
 from turtlebag.sim.robots import CONTROL_HZ
 
@@ -40,7 +40,7 @@ SHOWN_BY = {"mover_segments": "ghost", "mover_circles": "ghost"}
 PATHS = {"odom_path": "odom_path", "slam_path": "slam_path", "true_path": "ghost"}
 """Blobs that grow at their end, and the layers that they are shown by."""
 GRIDS = {"map": 255, "costmap": 0}
-"""Blobs of tiles, and the value of cells that are not sent because a client takes it for granted."""
+"""Blobs of cells, and the value of those that are not sent because a client takes it for granted."""
 AS_THEY_ARE = (
     "owner", "task", "state", "recording", "mapping", "bags", "maps", "waypoint_files", "localised", "sure",
     "lost", "goal_index", "goal",
@@ -114,7 +114,8 @@ class Frames:
         self.layers: frozenset[str] | None = None
         self._sent: dict[str, Any] = {}
         self._paths: dict[str, tuple[int, int]] = {}
-        self._grids = {name: GridTiles(blank) for name, blank in GRIDS.items()}
+        self._grids: dict[str, tuple[int, dict[str, Any], NDArray[np.uint8]]] = {}
+        """Version, place and cells of each grid that was sent."""
         self._event = 0
 
     def frame(self, view: View, told: Mapping[str, Any]) -> bytes:
@@ -136,7 +137,7 @@ class Frames:
         if self._changed("keepout", view.keepout):
             message.header["keepout_sizes"] = [len(outline) for outline in view.keepout]
             message.add("keepout", np.concatenate([np.zeros((0, 2)), *view.keepout]))
-        self._tiles(message, view)
+        self._changed_grids(message, view)
         return message.encoded()
 
     def _news(self, message: Message, view: View) -> None:
@@ -178,17 +179,34 @@ class Frames:
         if self._wanted("graph") and self._is_new("graph_keys", bag.keys):
             message.add("graph_keys", bag.keys, "i4")
 
-    def _tiles(self, message: Message, view: View) -> None:
+    def _changed_grids(self, message: Message, view: View) -> None:
         now = self._clock()
         if now < self._grids_due:
             return
         before = message.size
-        for name, tiles in self._grids.items():
+        for name in GRIDS:
             if self._changed(name, getattr(view, name)):
-                where, cells = tiles.changed(getattr(view, name))
-                message.header.setdefault("grids", {})[name] = where
-                message.add(f"{name}_tiles", cells, "u1", zipped=True)
+                self._grid(message, name, getattr(view, name))
         self._grids_due = now + (message.size - before) / GRID_BYTES_A_SECOND
+
+    def _grid(self, message: Message, name: str, layer: MapLayer | CostLayer | None) -> None:
+        """The rectangle about the cells that changed; a grid of another size or place starts anew.
+
+        No layer any more is a grid of one blank cell.
+        """
+        layer = layer or MapLayer(OccupancyGrid(np.full((1, 1), GRIDS[name], np.uint8).view(np.int8), 1.0))
+        cells, origin = layer.cells, layer.origin.xyt.tolist()
+        place = {"w": cells.shape[1], "h": cells.shape[0], "resolution": layer.resolution, "origin": origin}
+        version, there, before = self._grids.get(name, (0, None, cells))
+        if there != place:
+            version, before = version + 1, np.full_like(cells, GRIDS[name])
+        self._grids[name] = version, place, cells
+        differs = before != cells
+        rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
+        part = cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) else cells[:0]
+        tiles = [[int(columns[0]), int(rows[0]), part.shape[1], part.shape[0]]] if len(rows) else []
+        message.header.setdefault("grids", {})[name] = {"version": version, **place, "tiles": tiles}
+        message.add(f"{name}_tiles", part.ravel(), "u1", zipped=True)
 
     def _wanted(self, layer: str) -> bool:
         return self.layers is None or layer in self.layers

@@ -48,7 +48,7 @@ def test_two_outputs_are_compared_as_by_the_command(tree, tmp_path, capfd):
     numbers = found.numbers
     row = numbers["number"].tolist().index("ate_m.rmse")
     assert numbers["B"][row] > 2.0 * numbers["A"][row]
-    assert "numbers differ" in found.verdict
+    assert "no difference is judged" in found.verdict
     assert "ate_m.rmse" in "".join(ElementTree.fromstring(found._repr_html_()).itertext())
     assert made_by_its_command(found, tmp_path)
 

@@ -1,14 +1,11 @@
 """Simulator, mapper, localiser and planner step by step: what the whole steps make of the same."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 import turtlebag as tb
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.types import Imu, Trajectory
 from turtlebag.pipeline.slam.online.memory import heard
 
 pytestmark = pytest.mark.slow
@@ -31,8 +28,6 @@ def test_the_simulator_driven_by_a_bags_commands_senses_what_the_bag_holds(chain
         assert sim.time_s == pytest.approx(seen[-1].stamp_ns * 1e-9)
         first = sim.reset()
         assert first.odometry.T_odom_base.xyt.tolist() == seen[0].odometry.T_odom_base.xyt.tolist()
-        with pytest.raises(tb.InputError, match="v: expected a finite speed"):
-            sim.step(np.nan)
         with pytest.raises(tb.InputError, match="start pose"):
             sim.reset((-0.7, 0.6, 0.0))
 
@@ -60,8 +55,6 @@ def test_the_mapper_and_the_localiser_follow_a_robot_that_is_driven(chain):
         truth = sim.truth.T_world_base
         assert np.hypot(*(mapper.T_map_odom @ seen.odometry.T_odom_base).xy - truth.xy) < 0.05
         assert np.hypot(*(localiser.T_map_odom @ seen.odometry.T_odom_base).xy - truth.xy) < 0.08
-        with pytest.raises(tb.InputError, match="is not after the previous one"):
-            mapper.observe(seen)
 
 
 def test_the_localiser_says_what_localise_says(chain, recording):
@@ -97,71 +90,3 @@ class Idle:
 
     def plan(self, costmap, model, T_map_start, T_map_goal, seed):
         raise tb.NoPath("not today")
-
-
-def changed(scan, **changes):
-    return dataclasses.replace(scan, **changes)
-
-
-def samples(*stamps, pose=(0.0, 0.0, 0.0)):
-    return Trajectory(np.array(stamps), tb.SE2(np.tile(np.array(pose), (len(stamps), 1))))
-
-
-BAD = {
-    "too few ranges": (
-        lambda s: (changed(s, ranges=s.ranges[1:]), (0, 0, 0)),
-        r"has shape \(359,\).*360 beams",
-    ),
-    "two axes": (lambda s: (changed(s, ranges=s.ranges[None]), (0, 0, 0)), r"has shape \(1, 360\)"),
-    "going back": (
-        lambda s: (changed(s, stamp_ns=s.stamp_ns - 10**9), (0, 0, 0)),
-        "scan.stamp_ns: .* is not after the last one's",
-    ),
-    "again": (
-        lambda s: (changed(s, stamp_ns=s.stamp_ns - 3 * 10**8), (0, 0, 0)),
-        "scan.stamp_ns: .* is not after the last one's",
-    ),
-    "another lidar": (
-        lambda s: (changed(s, lidar=dataclasses.replace(s.lidar, range_max=9.0)), (0, 0, 0)),
-        "differs from that of the scans before",
-    ),
-    "half a pose": (lambda s: (s, (0, 0)), "odometry: expected three numbers X,Y,YAW"),
-    "a pose nowhere": (lambda s: (s, (0, np.inf, 0)), "odometry: y is not a finite number"),
-    "none any more": (lambda s: (s, None), "was a pose for earlier scans, is none now"),
-    "another kind": (lambda s: (s, samples(1, 2)), "was a pose for earlier scans, is a trajectory now"),
-    "no samples": (lambda s: (s, samples()), "odometry: expected stamps|odometry: has no poses"),
-    "samples back": (lambda s: (s, samples(2, 1)), "stamps must increase"),
-    "samples nowhere": (lambda s: (s, samples(1, 2, pose=(0, np.nan, 0))), "has poses that are not finite"),
-    "imu of another shape": (
-        lambda s: (s, (0, 0, 0), [Imu(1, np.zeros(2), np.zeros(3))]),
-        "imu.angular_velocity: expected three finite numbers",
-    ),
-    "imu back": (
-        lambda s: (s, (0, 0, 0), [Imu(2, np.zeros(3), np.zeros(3)), Imu(1, np.zeros(3), np.zeros(3))]),
-        "imu.stamp_ns: 1 is not after",
-    ),
-}
-
-
-@pytest.fixture(scope="module")
-def begun(recording):
-    """A mapper that has its first scan, which what is refused must not change; and the next scan."""
-    mapper = tb.Mapper()
-    mapper.add(recording.scan(0), recording.T_odom_base[0])
-    return mapper, recording.scan(1), recording.T_odom_base[1]
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_a_bad_scan_is_refused_in_a_line_and_not_taken_in(name, begun):
-    mapper, scan, _ = begun
-    arguments, said = BAD[name]
-    with pytest.raises(tb.InputError, match=said) as error:
-        mapper.add(*arguments(scan))
-    assert "\n" not in str(error.value)
-    assert len(mapper) == 1
-
-
-def test_after_all_that_was_refused_the_next_scan_is_taken(begun):
-    mapper, scan, odometry = begun
-    mapper.add(scan, odometry)
-    assert len(mapper) == 2

@@ -10,8 +10,7 @@ from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.record import Scene, record
-from turtlebag.pipeline.stages.sources import MapInputs, Source
-from turtlebag.reports.metrics.references import NO_REFERENCES, References
+from turtlebag.pipeline.stages.requests.maps import MapRequest
 
 pytestmark = pytest.mark.slow
 
@@ -37,9 +36,8 @@ def test_a_map_without_the_truth_is_the_same_to_the_byte(tmp_path):
     topics = {message.topic.name for message in open_bag(tmp_path / "without").messages()}
     assert "/scan" in topics
     assert not any(topic.startswith("/ground_truth") for topic in topics)
-    known = References.load(tmp_path / "with" / "truth")
-    for name, references in (("with", known), ("without", NO_REFERENCES)):
-        build_map(MapInputs(Source(tmp_path / name)), Output(tmp_path / f"map_{name}"), references=references)
+    for name, truth in (("with", tmp_path / "with" / "truth"), ("without", None)):
+        build_map(MapRequest(source=tmp_path / name, truth=truth), Output(tmp_path / f"map_{name}"))
     told, untold = tmp_path / "map_with", tmp_path / "map_without"
     for name in ("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o"):
         assert (told / name).read_bytes() == (untold / name).read_bytes(), name

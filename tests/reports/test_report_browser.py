@@ -65,7 +65,7 @@ def address(drawn, tmp_path_factory):
         shutil.copytree(drawn / name, base / name)
     make_index([base], Output(base / "index"))
     fake_map(base / "other", base / "record", sigma_m=0.02)
-    compare_outputs(base / "map", base / "other", Output(base / "comparison"))
+    compare_outputs([base / "map", base / "other"], Output(base / "comparison"))
     files = SystemFiles("cartographer", base / "other/trajectory.tum", base / "other/map.yaml")
     compare_with_systems(base / "map", [files], Output(base / "systems"))
     shutil.copytree(drawn / "report", base / "report")

@@ -20,7 +20,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.compare import compare_outputs
-from turtlebag.reports.compare import changed_settings, map_overlap
+from turtlebag.reports.compare import changed_between, map_overlap
 from turtlebag.reports.figures.systems import walls
 
 
@@ -31,30 +31,36 @@ def tree(tmp_path_factory):
     return base
 
 
+def by_path(found):
+    """The differences of the second side to the first, by number."""
+    return {row.spec.path: row.differences[0] for row in found.rows}
+
+
 def test_only_what_differs_is_called_different(tree):
-    found = compare_outputs(tree / "a", tree / "b")
-    assert found.settings == [("front.sigma", "0.005", "0.02")]
-    assert "map.pgm" in found.same_bytes
-    assert "trajectory.tum" in found.changed
-    rows = {row.spec.path: row for row in found.rows}
-    assert rows["scans"].difference == "="
-    assert rows["ate_m.rmse"].difference.startswith("+")
+    found = compare_outputs([tree / "a", tree / "b"])
+    assert found.settings == [("front.sigma", ["0.005", "0.02"])]
+    assert "map.pgm" in found.pair.same_bytes
+    assert "trajectory.tum" in found.pair.changed
+    differences = by_path(found)
+    assert differences["scans"].verdict == "the same"
+    assert differences["ate_m.rmse"].verdict == "no spread"
+    assert differences["ate_m.rmse"].text.startswith("+")
 
 
 def test_the_other_way_round_more_becomes_less(tree):
-    rows = {row.spec.path: row for row in compare_outputs(tree / "b", tree / "a").rows}
-    assert rows["ate_m.rmse"].difference.startswith("\u2212")
+    found = compare_outputs([tree / "b", tree / "a"])
+    assert by_path(found)["ate_m.rmse"].text.startswith("\u2212")
 
 
 def test_an_output_compared_with_itself_differs_in_nothing(tree):
-    found = compare_outputs(tree / "a", tree / "a")
-    assert found.settings == found.changed == []
-    assert {row.difference for row in found.rows} == {"="}
+    found = compare_outputs([tree / "a", tree / "a"])
+    assert found.settings == found.pair.changed == []
+    assert {one.verdict for one in by_path(found).values()} <= {"the same", ""}
 
 
 @pytest.mark.slow
 def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
-    compare_outputs(tree / "a", tree / "b", Output(tmp_path / "out"))
+    compare_outputs([tree / "a", tree / "b"], Output(tmp_path / "out"))
     page = (tmp_path / "out/index.html").read_text()
     assert sorted(path.name for path in (tmp_path / "out/figures").iterdir()) == [
         "apart.png",
@@ -62,23 +68,24 @@ def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
         "paths.png",
     ]
     assert "front.sigma" in page
-    assert "One run of each: no spread is known" in page
+    assert "one run of A and B: no spread, so no difference is judged" in page
     assert "good-number" not in page.partition("<body")[2]
-    [table] = re.findall(r'<table class="sortable">.*?</table>', page, flags=re.DOTALL)
+    [table] = re.findall(r'<table class="sortable runs">.*?</table>', page, flags=re.DOTALL)
     rows = table.partition("<tbody>")[2].count("<tr>")
     assert rows > 0
-    assert len(re.findall(r'data-sort="[-+.e\d]*"', table)) == 4 * rows
-    a, b = json.loads((tmp_path / "out/metrics.json").read_text())["ate_m.rmse"]
+    assert len(re.findall(r'data-sort="[-+.e\d]*"', table)) == 3 * rows
+    sides = json.loads((tmp_path / "out/metrics.json").read_text())["sides"]
+    a, b = (sides[letter]["numbers"]["ate_m.rmse"]["median"] for letter in "AB")
     assert b > 2.0 * a
 
 
 def test_the_command_prints_the_differences(tree, capsys):
     assert main(["compare", str(tree / "a"), str(tree / "b")]) == 0
     out = capsys.readouterr().out
-    assert "front.sigma: 0.005 -> 0.02" in out
+    assert "front.sigma: 0.005 | 0.02" in out
     assert "trajectory error (ATE), RMSE" in out
     assert out.endswith("\n4 files identical, 3 different\n")
-    assert out.splitlines()[1].split() == ["A", "B", "B", "-", "A"]
+    assert out.splitlines()[3].split() == ["A", "B", "B", "-", "A"]
 
 
 def test_one_file_is_no_files(tree, tmp_path, capsys):
@@ -91,10 +98,11 @@ def test_one_file_is_no_files(tree, tmp_path, capsys):
 
 
 def test_settings_missing_on_one_side_differ():
-    assert changed_settings({"a": {"b": 1}, "c": None, "e": True}, {"a": {"b": 1, "d": 2}, "e": False}) == [
-        ("c", "null", "not set"),
-        ("e", "true", "false"),
-        ("a.d", "not set", "2"),
+    a, b = {"a": {"b": 1}, "c": None, "e": True}, {"a": {"b": 1, "d": 2}, "e": False}
+    assert changed_between([[a], [b]]) == [
+        ("c", ["null", "not set"]),
+        ("e", ["true", "false"]),
+        ("a.d", ["not set", "2"]),
     ]
 
 
@@ -124,11 +132,11 @@ def test_a_comparison_says_how_both_were_made_and_whether_of_the_same_recording(
     record = fake_record(tmp_path / "record")
     a, b = fake_map(tmp_path / "a", record), fake_map(tmp_path / "b", record, sigma_m=0.01)
     with undrawn():
-        found = compare_outputs(a, b, Output(tmp_path / "out"))
+        found = compare_outputs([a, b], Output(tmp_path / "out"))
     page = (tmp_path / "out/index.html").read_text()
     assert "A: turtlebag map record --out A\nB: turtlebag map record --out B" in page
-    assert found.same_source is True
-    assert compare_outputs(record, record).same_source is None
+    assert found.pair.same_source is True
+    assert compare_outputs([record, record]).pair.same_source is None
 
 
 @pytest.mark.slow
@@ -138,7 +146,7 @@ def test_plans_and_estimates_are_drawn_over_each_other_too(tmp_path):
     for maker, name in ((fake_plan, "plan"), (fake_localise, "localise")):
         inputs = (record, built) if maker is fake_localise else (built,)
         one, other = (maker(tmp_path / f"{name}-{k}", *inputs) for k in "ab")
-        compare_outputs(one, other, Output(tmp_path / f"compare-{name}"))
+        compare_outputs([one, other], Output(tmp_path / f"compare-{name}"))
         assert (tmp_path / f"compare-{name}" / "figures" / "paths.png").is_file()
 
 
@@ -149,7 +157,7 @@ def test_a_number_that_one_side_lacks_is_sorted_as_one_that_is_not_there(tmp_pat
     del numbers["ate_m"]
     (b / "metrics.json").write_text(json.dumps(numbers))
     with undrawn():
-        compare_outputs(a, b, Output(tmp_path / "out"))
+        compare_outputs([a, b], Output(tmp_path / "out"))
     page = (tmp_path / "out/index.html").read_text()
     assert 'data-sort=""' in page
     assert 'data-sort="None"' not in page

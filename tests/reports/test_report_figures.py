@@ -11,7 +11,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.campaign.campaign_file import Figure
 from turtlebag.pipeline.campaign.figures import result_over_factor
-from turtlebag.reports.compare import draw_comparison
+from turtlebag.reports.compare import compare, draw_pair
 from turtlebag.reports.drawing import decisions_of, draw_localise, draw_map, draw_run
 from turtlebag.reports.figures import runs
 from turtlebag.reports.figures.album import Album
@@ -196,8 +196,8 @@ def test_the_caption_of_every_axis_of_errors_says_where_it_is_logarithmic(tmp_pa
         pictures_of(draw_localise, found, record)["error"][0],
     ]
     runs_compared, maps_compared = Kept(), Kept()
-    draw_comparison(load_stage(run), load_stage(run), runs_compared)
-    draw_comparison(load_stage(built), load_stage(built), maps_compared)
+    draw_pair(compare([("run", [load_stage(run)])] * 2).pair, runs_compared)
+    draw_pair(compare([("map", [load_stage(built)])] * 2).pair, maps_compared)
     captions += [runs_compared.kept["errors"][0], maps_compared.kept["apart"][0]]
     said = "exceeds 3, its axis is logarithmic from 1 upwards."
     assert [caption for caption in captions if said not in caption] == []

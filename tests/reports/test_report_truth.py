@@ -178,7 +178,7 @@ def test_a_localisation_that_only_believes_it_is_there_is_bad():
 
 @pytest.mark.slow
 def test_a_comparison_says_of_both_how_they_truly_went(folders):
-    compare_outputs(folders / "lost", folders / "there", Output(folders / "comparison"))
+    compare_outputs([folders / "lost", folders / "there"], Output(folders / "comparison"))
     text = (folders / "comparison/index.html").read_text()
     lines = re.findall(r'<li class="(good|bad)">(A|B): (\d of 3) goals reached', text)
     assert lines == [("bad", "A", "2 of 3"), ("good", "B", "3 of 3")]

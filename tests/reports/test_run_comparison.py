@@ -11,7 +11,7 @@ import turtlebag as tb
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, write_json, write_manifest
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.stages.compare import compare_sides
+from turtlebag.pipeline.stages.compare import compare_outputs
 from turtlebag.reports.metrics.statistics import mean_difference, mean_interval, share_difference
 
 ATE, WALLS = "ate_m.rmse", "map.occupied_error_m.within_one_cell"
@@ -59,7 +59,7 @@ def row(found, path):
 
 
 def test_a_clear_difference_in_pairs_of_one_seed_is_worse_and_an_unclear_one_is_within_the_spread(sides):
-    found = compare_sides(sides)
+    found = compare_outputs(sides)
     ate, walls = row(found, ATE), row(found, WALLS)
     assert [(one.median, one.worst) for one in ate.summaries] == [(0.030, 0.050), (0.036, 0.054)]
     assert [one.worst for one in walls.summaries] == [0.90, 0.91]
@@ -70,11 +70,11 @@ def test_a_clear_difference_in_pairs_of_one_seed_is_worse_and_an_unclear_one_is_
     assert (clear.interval.low, clear.interval.high) == pytest.approx((mean - half, mean + half), rel=1e-4)
     assert (clear.verdict, unclear.verdict) == ("worse", "within the spread")
     assert found.sentences == ["B against A (3 pairs by seed): 1 worse, 1 within the spread."]
-    assert row(compare_sides(sides[::-1]), ATE).differences[0].verdict == "better"
+    assert row(compare_outputs(sides[::-1]), ATE).differences[0].verdict == "better"
 
 
 def test_without_pairs_the_same_numbers_are_within_the_spread(tmp_path):
-    found = compare_sides([side(tmp_path / "a", A_ATE, A_WALLS), side(tmp_path / "b", B_ATE, B_WALLS)])
+    found = compare_outputs([side(tmp_path / "a", A_ATE, A_WALLS), side(tmp_path / "b", B_ATE, B_WALLS)])
     (difference,) = row(found, ATE).differences
     assert (difference.pairs, difference.verdict) == (False, "within the spread")
     assert found.sentences == ["B against A (not in pairs): 2 within the spread."]
@@ -82,20 +82,20 @@ def test_without_pairs_the_same_numbers_are_within_the_spread(tmp_path):
 
 def test_seeds_that_only_one_side_has_are_in_no_pair(tmp_path, sides):
     more = side(tmp_path / "more", (9.0, *B_ATE), (0.1, *B_WALLS), seeds=(7, 1, 2, 3))
-    (difference,) = row(compare_sides([sides[0], more]), ATE).differences
+    (difference,) = row(compare_outputs([sides[0], more]), ATE).differences
     assert (difference.interval.n, difference.verdict) == (3, "worse")
 
 
 def test_one_run_a_side_has_no_spread(tmp_path, sides):
     one = side(tmp_path / "one", (9.0,), (0.1,), seeds=(1,))
-    found = compare_sides([sides[0], one, one / "run0"])
+    found = compare_outputs([sides[0], one, one / "run0"])
     assert [part.verdict for part in row(found, ATE).differences] == ["no spread"] * 2
     assert found.sentences[0] == "B against A: one run of B: no spread, so no difference is judged."
     assert found.sides[2].title == "C: run0 (1 run)"
 
 
 def test_the_page_colours_only_what_is_clear(sides, tmp_path):
-    compare_sides(sides, Output(tmp_path / "out"))
+    compare_outputs(sides, Output(tmp_path / "out"))
     page = (tmp_path / "out/index.html").read_text()
     [table] = re.findall(r'<table class="sortable.*?</table>', page, flags=re.DOTALL)
     assert (table.count("good-number"), table.count("bad-number")) == (0, 1)
@@ -117,11 +117,11 @@ def test_the_command_prints_systems_beside_each_other(sides, capsys):
 def test_what_is_no_side_is_said_in_a_line(sides, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"empty: is no finished output, and holds none$"):
-        compare_sides([sides[0], tmp_path / "empty"])
+        compare_outputs([sides[0], tmp_path / "empty"])
     with pytest.raises(InputError, match="nothing to compare"):
-        compare_sides([sides[0], tmp_path / "rec-usual-1"])
+        compare_outputs([sides[0], tmp_path / "rec-usual-1"])
     with pytest.raises(InputError, match="at most 26 systems, not 27"):
-        compare_sides([sides[0]] * 27)
+        compare_outputs([sides[0]] * 27)
 
 
 def test_intervals_of_few_runs_hold_what_they_say():
@@ -164,7 +164,7 @@ def test_shares_differ_by_newcombes_interval():
 def test_two_runs_of_one_seed_on_a_side_leave_no_pairs(sides, tmp_path):
     twice = side(tmp_path / "twice", (*B_ATE, 0.04), (*B_WALLS, 0.9), seeds=(1, 2, 3, 4))
     (tmp_path / "rec-twice-4/manifest.json").write_text((tmp_path / "rec-twice-1/manifest.json").read_text())
-    (difference,) = row(compare_sides([sides[0], twice]), ATE).differences
+    (difference,) = row(compare_outputs([sides[0], twice]), ATE).differences
     assert (difference.pairs, difference.verdict) == (False, "within the spread")
 
 

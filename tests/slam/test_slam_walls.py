@@ -1,7 +1,5 @@
 """Walls that a person draws on a map and erases from it, and that follow when the map is made again."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,11 +10,11 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.edits import Edits, WallEdit, load_edits
+from turtlebag.pipeline.slam.graph.edits import Edits, WallEdit
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.walls import with_walls
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.sources import MapInputs, Source
+from turtlebag.pipeline.stages.requests.maps import MapRequest
 
 STILL = SE2.identity()
 EMPTY = OccupancyGrid(np.full((40, 60), FREE, dtype=np.int8), 0.05, SE2.from_xyt(-1.0, -0.5, 0.0))
@@ -86,24 +84,6 @@ def test_a_wall_moves_as_its_scan_does():
     assert (drawn(wall, poses=poses)[0].value_at(along((0.0, 0.2), (0.6, 0.2))) == OCCUPIED).all()
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("walls: [{do: paint, points: [[0, 0]]}]", "walls.0.do"),
-        ("walls: [{do: draw, points: []}]", "walls.0.points"),
-        ("walls: [{do: draw, points: [[0, .nan]]}]", "walls.0.points.0.1"),
-        ("walls: [{do: draw, points: [[0, 1e9]]}]", "walls.0.points.0.1"),
-        ("walls: [{do: draw, points: [[0, 0]], width: -1}]", "walls.0.width"),
-        ("walls: [{do: draw, points: [[0, 0]], scan: 3}]", "scan and pose belong together"),
-    ],
-)
-def test_a_wall_that_cannot_be_is_named(tmp_path, text, complaint):
-    file = tmp_path / "edits.yaml"
-    file.write_text(text)
-    with pytest.raises(InputError, match=complaint):
-        load_edits(file)
-
-
 @pytest.mark.slow
 def test_walls_are_where_they_were_in_the_room_when_another_setting_moves_the_scans():
     """The front end alone leaves the odometry's drift in the poses, and the walls are drawn along it."""
@@ -131,7 +111,7 @@ def test_a_map_that_is_continued_has_the_walls_of_both_recordings(tmp_path):
         write_bag(tmp_path / name, recording(ROOM, poses, odometry=drifted(poses), seed=seed))
         for seed, (name, poses) in enumerate({"one": TRUE, "two": around_the_room(120)}.items())
     )
-    both = MapInputs(Source(one), also=[two])
+    both = MapRequest(source=one, also=(two,))
     assert build_map(both, Output(tmp_path / "both")) == 0
     poses = np.loadtxt(tmp_path / "both" / "trajectory.tum")[:, [1, 2]]
     assert len(poses) == 270
@@ -141,9 +121,9 @@ def test_a_map_that_is_continued_has_the_walls_of_both_recordings(tmp_path):
         x, y = poses[scan]
         lines.append(f"- {{do: draw, points: [[{x - 0.2}, {y}], [{x + 0.2}, {y}]]}}")
     edits.write_text("walls:\n" + "\n".join(lines) + "\n")
-    assert build_map(replace(both, edits=edits), Output(tmp_path / "together")) == 0
-    assert build_map(MapInputs(Source(one), edits=edits), Output(tmp_path / "map")) == 0
-    more = MapInputs(Source(two), continued=tmp_path / "map", edits=edits)
+    assert build_map(both.model_copy(update={"edits": edits}), Output(tmp_path / "together")) == 0
+    assert build_map(MapRequest(source=one, edits=edits), Output(tmp_path / "map")) == 0
+    more = MapRequest(source=two, continued=tmp_path / "map", edits=edits)
     assert build_map(more, Output(tmp_path / "more")) == 0
     grid = load_map(tmp_path / "more" / "map.yaml")
     for scan in (30, 200):

@@ -31,9 +31,12 @@ def turtlebag(*words: object) -> int:
 def stages(tmp_path_factory):
     """Folder in which the commands of the tutorial have run as written; what they said is in `said.txt`.
 
-    But verify makes the report alone once more: on a smaller one test_verify has every stage made again.
+    But verify makes the report alone once more: on a smaller one test_verify has every stage made again. And
+    nothing moves in it: test_report has animations.
     """
     quick = {"turtlebag verify report": "turtlebag verify report --quick"}
+    report = "turtlebag report rec map goal patrol avoid --out report"
+    quick[report] = f"{report} --no-animation"
     folder = tmp_path_factory.mktemp("tutorial")
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as said:
         run_page(ROOT / "docs/tutorial.md", folder, patch, quick)

@@ -13,7 +13,7 @@ from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.sources import MapInputs, Source
+from turtlebag.pipeline.stages.requests.maps import MapRequest
 
 
 def message(stamp_ns, cloud):
@@ -50,9 +50,9 @@ def files(folder):
 
 @pytest.mark.slow
 def test_a_bag_of_clouds_alone_is_mapped_in_3d_and_again_to_the_same_bytes(bag, drive, tmp_path):
-    assert build_map(MapInputs(Source(bag)), Output(tmp_path / "a"), explain=True) == 0
-    source = Source(bag, topics=("/velodyne_points",))
-    assert build_map(MapInputs(source), Output(tmp_path / "b"), explain=True) == 0
+    assert build_map(MapRequest(source=bag, explain=True), Output(tmp_path / "a")) == 0
+    named = MapRequest(source=bag, topic=("/velodyne_points",), explain=True)
+    assert build_map(named, Output(tmp_path / "b")) == 0
     assert files(tmp_path / "a") == files(tmp_path / "b")
     names = (
         "config.yaml explain.json graph.g2o graph.json map.pgm map.ply map.yaml metrics.json trajectory.tum"
@@ -74,7 +74,7 @@ def test_planar_scans_come_first_and_a_topic_chooses(bag, drive, tmp_path):
     ]
     both += [("/scan", SCAN, stamp, laser_scan(stamp, [2.0] * 360)) for stamp in stamps]
     path = write_foreign(tmp_path / "both", both)
-    assert build_map(MapInputs(Source(path)), Output(tmp_path / "flat")) == 0
+    assert build_map(MapRequest(source=path), Output(tmp_path / "flat")) == 0
     assert "map.ply" not in files(tmp_path / "flat")
-    assert build_map(MapInputs(Source(path, topics=("/points",))), Output(tmp_path / "deep")) == 0
+    assert build_map(MapRequest(source=path, topic=("/points",)), Output(tmp_path / "deep")) == 0
     assert "map.ply" in files(tmp_path / "deep")

@@ -11,14 +11,14 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked
-from turtlebag.pipeline.stages import plan as stage
+from turtlebag.pipeline.stages.plan import plan
+from turtlebag.pipeline.stages.requests.maps import PlanRequest
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import plan_path
 from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solution_from, solve
 from turtlebag.planners.planner import PlanConfig
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut
-from turtlebag.sim.robots import load_robot
 
 
 def walled_room() -> OccupancyGrid:
@@ -244,12 +244,11 @@ def test_a_solution_without_its_start_gets_it_where_it_can_be_joined(states, who
 def test_a_comparison_asks_each_planner_once(tmp_path):
     """The one that is chosen, too: its time is that of the path which is written."""
     save_map(room(), tmp_path)
-    query = stage.Query(load_robot("burger"), SE2.from_xyt(1.0, 1.0, 0.0), SE2.from_xyt(1.2, 1.0, 0.0))
-    config = stage.PlanStageConfig(plan=PlanConfig(ompl=OmplConfig(iterations=50)))
-    out = Output(tmp_path / "out")
-    assert stage.plan(tmp_path / "map.yaml", query, out, config=config, compare=True) == 0
+    out, settings = Output(tmp_path / "out"), {"plan.ompl.iterations": 50}
+    asked_for = {"map": tmp_path / "map.yaml", "start": (1.0, 1.0, 0.0), "goal": (1.2, 1.0, 0.0), "seed": 0}
+    assert plan(PlanRequest(**asked_for, compare=True, settings=settings), out) == 0
     asked = [found["planner"] for found in json.loads((out.folder / "metrics.json").read_text())["planners"]]
     assert len(asked) == len(set(asked)) > 10
     told = json.loads((out.folder / "manifest.json").read_text())
     assert set(told["planners_s"]) == set(asked)
-    assert told["planners_s"][config.plan.name] == told["planning_s"]
+    assert told["planners_s"]["BITstar"] == told["planning_s"]

@@ -17,7 +17,7 @@ from turtlebag.pipeline.slam.graph.edits import Edits, RejectedLoop, WallEdit, l
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.sources import MapInputs, Source
+from turtlebag.pipeline.stages.requests.maps import MapRequest
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.loops_shown import points_of
@@ -116,8 +116,8 @@ def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command
     assert after.bag.edits == (("reject", scan, place),)
     assert load_edits(tmp_path / "edits.yaml").reject[0].scan == scan
     edits = tmp_path / "edits.yaml"
-    edited = MapInputs(Source(bag), edits=edits)
-    assert build_map(edited, Output(tmp_path / "map"), settings=["loops.held_m=0.0"]) == 0
+    edited = MapRequest(source=bag, edits=edits, settings={"loops.held_m": 0.0})
+    assert build_map(edited, Output(tmp_path / "map")) == 0
     for kind in ("pgm", "yaml"):
         mine, theirs = (tmp_path / "maps" / f"parted.{kind}", tmp_path / "map" / f"map.{kind}")
         assert mine.read_bytes().replace(b"parted", b"map") == theirs.read_bytes()
@@ -149,7 +149,7 @@ def test_walls_are_drawn_and_erased_at_once_and_the_command_line_draws_the_same(
     played.apply(inputs.Plain(do="map_start"))
     assert "good map" in played.apply(inputs.Plain(do="map_build"))
     played.apply(inputs.Save(do="map_save", name="again"))
-    edited = MapInputs(Source(bag), edits=tmp_path / "edits.yaml")
+    edited = MapRequest(source=bag, edits=tmp_path / "edits.yaml")
     assert build_map(edited, Output(tmp_path / "map")) == 0
     for file in (tmp_path / "maps" / "again.pgm", tmp_path / "map" / "map.pgm"):
         assert file.read_bytes() == saved

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from turtlebag.api import given
 from turtlebag.api.given import PathLike, Pose
@@ -26,35 +29,12 @@ from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.sim.robots import load_robot
 
 
-class _Listener:
-    """The laser's pose on the robot, and checks of what is passed in."""
-
-    def __init__(self, robot: PathLike, laser: Pose | None) -> None:
-        if laser is not None:
-            self.T_base_lidar = given.pose(laser, "laser")
-            self.lidars: tuple[types.MountedLidar, ...] = ()
-        else:
-            self.lidars = load_robot(os.fspath(robot)).mounted()
-            self.T_base_lidar = self.lidars[0].T_base_lidar
-        self.scan: Scan | None = None
-        self._scans: dict[int, Scan] = {}
-        self.odometry: SE2 | types.Trajectory | None = None
-        self.observed_ns: int | None = None
-
-    def heard(self, scan: Scan, odometry: Any) -> tuple[Scan, SE2 | types.Trajectory | None]:
-        """A scan and its odometry, checked against the earlier ones; InputError names the problem."""
-        checked = given.scan(scan, self._scans.get(scan.sensor))
-        first = self.scan is None
-        moved = given.odometry(odometry, self.odometry, first)
-        self.scan = self._scans[scan.sensor] = checked
-        self.odometry = moved
-        return checked, moved
-
-    def observed(self, observation: Observation) -> None:
-        """InputError unless it is later than the last one."""
-        if self.observed_ns is not None and observation.stamp_ns <= self.observed_ns:
-            raise InputError(f"observation: stamp {observation.stamp_ns} is not after the previous one")
-        self.observed_ns = observation.stamp_ns
+def _lidars(robot: PathLike, laser: Pose | None) -> tuple[SE2, tuple[types.MountedLidar, ...]]:
+    """Where the first laser sits on the robot, and all of the robot's; none where only that pose is known."""
+    if laser is not None:
+        return given.pose(laser, "laser"), ()
+    lidars = load_robot(os.fspath(robot)).mounted()
+    return lidars[0].T_base_lidar, lidars
 
 
 class Mapper:
@@ -76,18 +56,16 @@ class Mapper:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or setting."""
-        self._heard = _Listener(robot, laser)
+        T_base_lidar, lidars = _lidars(robot, laser)
         chosen = {**(settings or {}), **({} if front_end is None else {"front_end": front_end})}
         slam = load_config(SlamConfig, None if config is None else Path(config), chosen)
-        lidars = self._heard.lidars if len(self._heard.lidars) > 1 else ()
-        self._online = OnlineMap(self._heard.T_base_lidar, slam, lidars)
+        self._online = OnlineMap(T_base_lidar, slam, lidars if len(lidars) > 1 else ())
 
     def __len__(self) -> int:
         return 0 if self._online.mapper is None else len(self._online.mapper)
 
     def observe(self, observation: Observation) -> Array | None:
         """Take in what the simulator's robot sensed; the pose (3,) where that brought a scan, else None."""
-        self._heard.observed(observation)
         before = len(self)
         self._online.observe(observation)
         return self.pose if len(self) > before else None
@@ -99,11 +77,11 @@ class Mapper:
 
         `odometry` is the pose of the base in the odometry's frame at that stamp, or a trajectory of it since
         the last scan's, to the end of the sweep; the same kind, or none, for every scan. `imu` are the
-        samples since the last scan. InputError for stamps that do not increase, arrays of another shape,
-        non-finite numbers and changing kinds; the scan is then not used.
+        samples since the last scan. Stamps increase; ranges [m] may be inf or NaN (REP-117).
         """
-        samples = given.imu(imu)
-        self._online.add(*self._heard.heard(scan, odometry), samples)
+        if odometry is not None and not isinstance(odometry, types.Trajectory):
+            odometry = given.pose(odometry, "odometry")
+        self._online.add(_single(scan), odometry, imu)
         return self.pose
 
     @property
@@ -165,7 +143,7 @@ class Localiser:
         self._told: SE2 | str = "global"
         if not isinstance(initial_pose, str) or initial_pose != "global":
             self._told = given.pose(initial_pose, "initial_pose")
-        self._heard = _Listener(robot, laser)
+        self._T_base_lidar, self._lidars = _lidars(robot, laser)
         self._config = load_localise_config(None if config is None else Path(config), settings or {})
         self._grid = map if isinstance(map, OccupancyGrid) else as_map(map).occupancy
         self._rng = stream(seed, "amcl")
@@ -175,7 +153,6 @@ class Localiser:
 
     def observe(self, observation: Observation) -> Array | None:
         """Take in what the simulator's robot sensed; the pose (3,) where that brought a scan, else None."""
-        self._heard.observed(observation)
         self._buffer.add(observation.odometry.stamp_ns, observation.odometry.T_odom_base)
         scan = observation.scan
         if scan is None:
@@ -186,12 +163,11 @@ class Localiser:
         """Update with a scan: x, y [m] and yaw [rad] of the base in the map at its stamp, (3,).
 
         `odometry` is the pose of the base in the odometry's frame at that stamp, `odometry_end` at the end of
-        the sweep, for deskewing. InputError as for `Mapper.add`.
+        the sweep, for deskewing.
         """
         start = given.pose(odometry, "odometry")
         end = None if odometry_end is None else given.pose(odometry_end, "odometry_end")
-        heard, _ = self._heard.heard(scan, start)
-        return self._update(heard, start, end)
+        return self._update(_single(scan), start, end)
 
     @property
     def pose(self) -> Array:
@@ -225,9 +201,8 @@ class Localiser:
 
     def _update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None) -> Array:
         if self._localiser is None:
-            lidars = self._heard.lidars[1:]
-            first = types.MountedLidar(scan.lidar, self._heard.T_base_lidar)
-            self._localiser = started(self._grid, (first, *lidars), self._told, self._config, self._rng)
+            lidars = types.MountedLidar(scan.lidar, self._T_base_lidar), *self._lidars[1:]
+            self._localiser = started(self._grid, lidars, self._told, self._config, self._rng)
         self._localiser.update(scan, T_odom_base, T_odom_base_end)
         self._T_odom_base = T_odom_base
         return self.pose
@@ -237,3 +212,8 @@ class Localiser:
         if self._localiser is None:
             raise InputError("no scan yet: observe or add one first")
         return self._localiser
+
+
+def _single(scan: Scan) -> Scan:
+    """The scan with its ranges in single precision, as drivers give them."""
+    return replace(scan, ranges=np.asarray(scan.ranges, dtype=np.float32))
