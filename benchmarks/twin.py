@@ -296,7 +296,7 @@ def round_trip(robot: int) -> Row:
             errors = []
             for seed in range(DRIVES):
                 spec = found.drawn(stream(seed, "round trip")) if of_twin else hidden
-                way = begun(drive if of_twin else Drive(path))
+                way = first_minute(drive if of_twin else Drive(path))
                 again, truth = driven_again(world if of_twin else load_world(maze), spec, way, seed)
                 errors.append(drive_errors(again, truth, seed))
             samples.append({name: np.array([one[name] for one in errors]) for name in errors[0]})
@@ -308,7 +308,7 @@ def round_trip(robot: int) -> Row:
     }  # fmt: skip
 
 
-def begun(drive: Drive) -> Drive:
+def first_minute(drive: Drive) -> Drive:
     """The first minute of a drive."""
     path = drive.path
     first = path.stamps_ns <= path.stamps_ns[0] + MINUTE_NS
