@@ -159,6 +159,7 @@ bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question 
 	$(PY) -m benchmarks.sweep
 
 mutants: $(READY) ## mutation tests: small mistakes in the code, and how many a test notices   (SEED, N mutants)
+	.venv/bin/pip install --quiet 'cosmic-ray>=8.4,<9'
 	$(PY) -m tests.mutants $(SEED) $(or $(N),20)
 
 # Kernels are measured where they run as plain Python: in the quick tests that call them, compared with a reference.

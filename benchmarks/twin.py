@@ -9,9 +9,10 @@ Suites:
                  /cmd_vel and IMU: how often these are called not observable, and the others of a whole drive
                  observable
   real           public logs (TURTLEBAG_DATA): errors of odometry, front end and mapper by the relations, and
-                 those of the twin by its truth, at the same pairs of scans
-  round_trip     robots with drawn parameters beside twins of one bag of theirs, 20 drives of 7 m each: do
-                 the errors of mapping and localisation tell them apart
+                 those of the twin by its truth, at the same pairs of scans; the truth gets such errors as
+                 the log's relations have, by how far those of three scans do not close
+  round_trip     robots with drawn parameters beside twins of one bag of theirs, four minutes in a maze: do
+                 the errors of mapping and localisation of its first half minute tell 20 drives of each apart
   power          the same robots beside some with 10 % more noise (4 drives) or slip (16): do ranges and
                  odometry tell them apart
 """
@@ -29,10 +30,11 @@ import numpy as np
 import yaml
 from scipy.stats import ks_2samp
 
-from benchmarks.runner import Row, Suite, each, every, options, parsed, public_log, run, share
+from benchmarks.runner import Row, Suite, each, every, grouped, options, parsed, public_log, run, share
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import Relations, load_relations
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Recording, Trajectory
@@ -58,8 +60,8 @@ PLACES = {"house": "turtlebot3_house", "office": "office:{}", "maze": "maze:{}"}
 WAY_M, DRIVES = 30.0, 20
 LOOKED_DRIVES = {"noise": 4, "slip": 16, "none": 16}
 ARENA, LOGS = "turtlebot3_world", ("mit-csail", "aces", "fr079", "intel")
-# Scans of a twin are as near as this [ns] to those of its log.
-NEAR_NS = 150_000_000
+# Scans of a twin are as near as this [ns] to those of its log; what is driven again of a drive [ns].
+NEAR_NS, BEGUN_NS = 150_000_000, 30_000_000_000
 SYSTEMS = ("odometry", "front end", "mapper")
 LOOKED_AT = ("residual_0", "residual_1", "residual_2", "wander", "turn")
 SCRIPTS: dict[str, list[dict[str, Any]]] = {
@@ -225,7 +227,7 @@ def right(rows: list[Row]) -> list[Row]:
 
 
 def real(log: str) -> Row:
-    """Mean errors of the relations [m]: of the log, and of its twin by its truth."""
+    """Mean errors of the relations [m]: of the log, and of its twin by its truth; of the relations alone."""
     path, config = public_log(log), SlamConfig()
     if path is None:
         return {}
@@ -233,14 +235,30 @@ def real(log: str) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         mapped, found, drive, world = twin_in(Path(folder), recording, path)
         again, truth = driven_again(world, found.robot, drive, 1)
-    begun = int(drive.path.stamps_ns[0])
+    start = int(drive.path.stamps_ns[0])
     stamps = relations.stamps_a_ns, relations.stamps_b_ns
-    ends = [nearest(truth.stamps_ns + begun, at, NEAR_NS) for at in stamps]
+    ends = [nearest(truth.stamps_ns + start, at, NEAR_NS) for at in stamps]
     a, b = (rows[ends[0][1] & ends[1][1]] for rows, _ in ends)
-    same = Relations(truth.stamps_ns[a], truth.stamps_ns[b], truth.poses[a].inverse() @ truth.poses[b])
+    off = own_errors(relations)
+    errors = stream(1, "relations").choice(off, len(a)) * stream(1, "signs").choice([-1.0, 1.0], (len(a), 1))
+    T_a_b = truth.poses[a].inverse() @ truth.poses[b] @ SE2(errors)
+    same = Relations(truth.stamps_ns[a], truth.stamps_ns[b], T_a_b)
     real_ones = by_system(recording, mapped, relations)
     twins = by_system(again, run_slam(again, config), same)
-    return {name: [real_ones[name], twins[name], twins[name] / real_ones[name]] for name in twins}
+    ratios = {name: [real_ones[name], twins[name], twins[name] / real_ones[name]] for name in twins}
+    return {**ratios, "relations": float(np.hypot(*off[:, :2].T).mean())}
+
+
+def own_errors(relations: Relations) -> Array:
+    """Errors (n, 3) of relations themselves: how far those of the same three scans do not close, of which
+    each has its share; none where there are no three."""
+    T: dict[tuple[int, int], SE2] = {}
+    for a, b, T_a_b in zip(relations.stamps_a_ns, relations.stamps_b_ns, relations.T_a_b, strict=True):
+        T[a, b], T[b, a] = T_a_b, T_a_b.inverse()
+    others = grouped(({"a": a, "b": b} for a, b in T), "a")
+    beside = {a: {row["b"] for row in rows} for (a,), rows in others.items()}
+    closures = [T[a, b] @ T[b, c] @ T[c, a] for a, b in T if a < b for c in beside[a] & beside[b] if c > b]
+    return np.array([one.xyt for one in closures] or np.zeros((1, 3))) / np.sqrt(3.0)
 
 
 def twin_in(
@@ -266,10 +284,10 @@ def by_system(recording: Recording, found: SlamResult, relations: Relations) -> 
 
 def round_trip(robot: int) -> Row:
     """Errors [m] of a robot and of its twins, a drive a row; p after Holm, and Cliff's delta."""
-    hidden, arena = hidden_robot(7000 + robot), load_world(ARENA)
+    hidden, maze = hidden_robot(7000 + robot), PLACES["maze"].format(7000 + robot)
     with tempfile.TemporaryDirectory() as folder:
         bag, place = Path(folder) / "rec", Path(folder) / "twin"
-        path = driven(bag, hidden, "short", robot)
+        path = driven(bag, hidden, "drive", robot, maze)
         recording = load_recording(bag, T_base_lidar=load_robot("burger").T_base_lidar)
         place.mkdir()
         _, found, drive, world = twin_in(place, recording, bag)
@@ -278,8 +296,8 @@ def round_trip(robot: int) -> Row:
             errors = []
             for seed in range(DRIVES):
                 spec = found.drawn(stream(seed, "round trip")) if of_twin else hidden
-                way = drive if of_twin else Drive(path)
-                again, truth = driven_again(world if of_twin else arena, spec, way, seed)
+                way = begun(drive if of_twin else Drive(path))
+                again, truth = driven_again(world if of_twin else load_world(maze), spec, way, seed)
                 errors.append(drive_errors(again, truth, seed))
             samples.append({name: np.array([one[name] for one in errors]) for name in errors[0]})
     p = holm(np.array([ks_2samp(samples[0][name], samples[1][name]).pvalue for name in samples[0]]))
@@ -288,6 +306,13 @@ def round_trip(robot: int) -> Row:
                cliffs_delta(samples[0][name], samples[1][name])]
         for k, name in enumerate(samples[0])
     }  # fmt: skip
+
+
+def begun(drive: Drive) -> Drive:
+    """The first half minute of a drive."""
+    path = drive.path
+    first = path.stamps_ns <= path.stamps_ns[0] + BEGUN_NS
+    return Drive(Trajectory(path.stamps_ns[first], path.poses[first]))
 
 
 def drive_errors(recording: Recording, truth: Trajectory, seed: int) -> dict[str, float]:
@@ -342,7 +367,10 @@ def ratios(rows: list[Row]) -> list[Row]:
     def text(row: Row, name: str) -> str:
         return " / ".join(f"{one:.3g}" for one in row.get(name, ()))
 
-    return [{"log": row["log"]} | {name: text(row, name) for name in SYSTEMS} for row in rows]
+    return [
+        {"log": row["log"], **{name: text(row, name) for name in SYSTEMS}, "relations": row.get("relations")}
+        for row in rows
+    ]
 
 
 def passed(rows: list[Row]) -> list[Row]:
@@ -367,7 +395,7 @@ def told(rows: list[Row]) -> list[Row]:
 
 def suites(args: Namespace) -> dict[str, Suite]:
     """All suites."""
-    per_place = range(401, 401 + -(-args.robots // len(PLACES)))
+    per_place = range(501, 501 + -(-args.robots // len(PLACES)))
     rows = [(place, seed) for seed in per_place for place in PLACES]
     drives = every(partial(observability), place=("house", "office"), seed=(201, 202), drive=HIDDEN)
     return {

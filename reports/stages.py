@@ -68,7 +68,7 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One stage output: `kind` is a key of SPECS; `label` names it within its group, `title` for people."""
+    """One output: `kind` is its manifest's `stage`; `label` names it within its group, `title` for people."""
 
     folder: Path
     kind: str
@@ -283,17 +283,22 @@ def read_path(path: Path) -> SE2:
 
 
 def load_stage(folder: Path) -> Stage:
-    """The stage output in `folder`; InputError for anything else."""
+    """The output in `folder` of a stage that a report shows; InputError for anything else."""
+    stage = load_output(folder)
+    if stage.kind not in SPECS:
+        raise InputError(f"{folder}: is a {stage.kind} output; a report shows {', '.join(SPECS)}")
+    return stage
+
+
+def load_output(folder: Path) -> Stage:
+    """The finished output in `folder`; InputError for anything else."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder (expected the output of a stage)")
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder}: has no manifest.json, so it is not a finished output")
     manifest = read_manifest(path)
-    kind = manifest.stage
-    if kind not in SPECS:
-        raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(SPECS)}")
-    return Stage(folder, kind, kind, manifest)
+    return Stage(folder, manifest.stage, manifest.stage, manifest)
 
 
 class _Parameter(BaseModel):

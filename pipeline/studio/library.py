@@ -23,13 +23,14 @@ KEEPOUT = "-keepout"
 class Library:
     """The folders `maps` and `waypoints` of a session, and the map that it was started with."""
 
-    def __init__(self, folder: Path, given: Path | None) -> None:
-        """`given` is read here, once; InputError when it cannot be used."""
+    def __init__(self, folder: Path, given: Path | None, *, tutorial: bool = False) -> None:
+        """`given` is read here, once; InputError when it cannot be used. `tutorial`: this is its world."""
         self._maps, self._waypoints = folder / "maps", folder / "waypoints"
         self._given = None if given is None else (given, _usable_map(given))
         self.maps: tuple[str, ...] = () if given is None else ("",)
         """Names of the maps there are; the given one has none."""
-        self.waypoint_files: tuple[str, ...] = ()
+        self.waypoint_files: tuple[str, ...] = ("",) if tutorial else ()
+        """Names of the waypoints there are; the tutorial's have none."""
 
     def check_name(self, name: str) -> None:
         """InputError for a name that no map can have."""
@@ -76,12 +77,14 @@ class Library:
 
     def load_waypoints(self, name: str) -> tuple[Waypoint, ...]:
         """Waypoints that were saved, or the tutorial's; InputError when there are none of that name."""
+        if name not in self.waypoint_files:
+            known = ", ".join(filter(None, self.waypoint_files))
+            what = (
+                f"waypoints {name}: no such file" if name else "the tutorial's waypoints are of another world"
+            )
+            raise InputError(f"{what}; {f'known: {known}' if known else 'save some first'}")
         if not name:
             return tutorial_patrol().waypoints
-        if name not in self.waypoint_files:
-            known = ", ".join(self.waypoint_files)
-            rest = f"known: {known}" if known else "save some first"
-            raise InputError(f"waypoints {name}: no such file; {rest}")
         return load_waypoints(self._waypoints / f"{name}.yaml").waypoints
 
 

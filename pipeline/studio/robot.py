@@ -31,6 +31,9 @@ from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.robots import stamp_of
 from turtlebag.sim.simulator import Simulator
 
+TUTORIAL = "turtlebot3_world"
+"""The world of the tutorial, and of its waypoints."""
+
 
 @dataclass(frozen=True, eq=False)
 class LoadedMap:
@@ -57,7 +60,7 @@ class Robot:
     def __init__(self, setup: StudioSetup, folder: Path, events: EventLog) -> None:
         """As after a restart. InputError for a map of the setup that cannot be used."""
         self.setup, self.folder, self._events = setup, folder, events
-        self.library = Library(folder, setup.map_path)
+        self.library = Library(folder, setup.map_path, tutorial=setup.arena.name == TUTORIAL)
         self.publisher, self.trails = Publisher(), Trails()
         self.simulator = Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
         self.run_log = RunLogWriter(folder, self.simulator, self.publisher)

@@ -220,18 +220,24 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
         np.testing.assert_array_equal(table[:, :3], points)
         if given is not None:
             np.testing.assert_array_equal(table[:, 3], times)
+
+    def last(layout, name, *fields):
+        """The second of two messages that are packed together."""
+        first, second = layout.messages([layout.row(*fields)] * 2)
+        assert first == second
+        assert layout.size == len(second)
+        return same(second, name)
+
     sample = Imu(STAMP, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]))
-    imu = same(cdr.imu(frame, sample, np.full(9, 0.1), np.full(9, 0.2)), "sensor_msgs/msg/Imu")
+    imu = last(cdr.imu(frame, np.full(9, 0.1), np.full(9, 0.2)), "sensor_msgs/msg/Imu", sample)
     stamped(imu)
     assert imu.orientation_covariance.tolist() == [-1.0] + [0.0] * 8
     assert imu.angular_velocity_covariance.tolist() == [0.1] * 9
     assert imu.linear_acceleration_covariance.tolist() == [0.2] * 9
     assert (imu.orientation.w, imu.orientation.x) == (1.0, 0.0)
     assert (imu.angular_velocity.z, imu.linear_acceleration.x) == (3.0, 4.0)
-    joints = same(
-        cdr.joint_state(frame, ["a", child], Joints(STAMP, (1, 2), (3.0, 4.0))),  # doubles all the same
-        "sensor_msgs/msg/JointState",
-    )
+    wheels = Joints(STAMP, (1, 2), (3.0, 4.0))  # doubles all the same
+    joints = last(cdr.joint_state(frame, ["a", child]), "sensor_msgs/msg/JointState", wheels)
     stamped(joints)
     assert (joints.name, joints.position.tolist(), joints.velocity.tolist()) == (
         ["a", child],
@@ -239,9 +245,8 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
         [3.0, 4.0],
     )
     pose = SE2.from_xyt(1.0, 2.0, 0.5)
-    drive = same(
-        cdr.odometry(frame, child, STAMP, pose, Twist(3.0, 4.0), np.arange(36.0)), "nav_msgs/msg/Odometry"
-    )
+    odometry, about = cdr.odometry(frame, child, np.arange(36.0)), (STAMP, pose, Twist(3.0, 4.0))
+    drive = last(odometry, "nav_msgs/msg/Odometry", *about)
     stamped(drive)
     assert drive.child_frame_id == child
     placed(drive.pose.pose, 1.0, 2.0, 0.5)
@@ -262,6 +267,12 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
     stamped(at)
     placed(at.pose.pose, 1.0, 2.0, 0.5)
     assert at.pose.covariance.sum() == 9.0
+    (link,) = last(cdr.transform(frame, child), "tf2_msgs/msg/TFMessage", STAMP, pose).transforms
+    stamped(link)
+    assert link.child_frame_id == child
+    placed(link.transform, 1.0, 2.0, 0.5)
+    moving = last(cdr.twist(), "geometry_msgs/msg/Twist", Twist(3.0, 4.0))
+    assert (moving.linear.x, moving.angular.z) == (3.0, 4.0)
     goal = same(cdr.pose_stamped(frame, STAMP, pose), "geometry_msgs/msg/PoseStamped")
     stamped(goal)
     placed(goal.pose, 1.0, 2.0, 0.5)

@@ -10,7 +10,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.edits import Edits, WallEdit, load_edits
+from turtlebag.pipeline.slam.graph.edits import Edits, WallEdit
 from turtlebag.pipeline.slam.mapper import SlamConfig, run_slam
 from turtlebag.pipeline.slam.walls import with_walls
 from turtlebag.pipeline.stages.map import build_map
@@ -82,24 +82,6 @@ def test_a_wall_moves_as_its_scan_does():
     assert (grid.value_at(moved) == OCCUPIED).all()
     assert grid.value_at(np.array([0.0, 0.2])) == FREE
     assert (drawn(wall, poses=poses)[0].value_at(along((0.0, 0.2), (0.6, 0.2))) == OCCUPIED).all()
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("walls: [{do: paint, points: [[0, 0]]}]", "walls.0.do"),
-        ("walls: [{do: draw, points: []}]", "walls.0.points"),
-        ("walls: [{do: draw, points: [[0, .nan]]}]", "walls.0.points.0.1"),
-        ("walls: [{do: draw, points: [[0, 1e9]]}]", "walls.0.points.0.1"),
-        ("walls: [{do: draw, points: [[0, 0]], width: -1}]", "walls.0.width"),
-        ("walls: [{do: draw, points: [[0, 0]], scan: 3}]", "scan and pose belong together"),
-    ],
-)
-def test_a_wall_that_cannot_be_is_named(tmp_path, text, complaint):
-    file = tmp_path / "edits.yaml"
-    file.write_text(text)
-    with pytest.raises(InputError, match=complaint):
-        load_edits(file)
 
 
 @pytest.mark.slow

@@ -5,15 +5,19 @@ import shutil
 
 import numpy as np
 import pytest
+import yaml
 
 import turtlebag as tb
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.requests.drives import RecordRequest
 from turtlebag.pipeline.stages.requests.studio import StudioRequest
+from turtlebag.pipeline.studio.robot import TUTORIAL, Robot
 from turtlebag.pipeline.studio.setup import StudioSetup
+from turtlebag.pipeline.studio.visuals import EventLog
 from turtlebag.pipeline.twin.comparison import cliffs_delta, compare, holm
 from turtlebag.pipeline.twin.driver import Drive
 from turtlebag.sim.robots import load_robot
@@ -122,6 +126,41 @@ def test_the_folder_of_a_twin_stands_for_its_world_its_robot_and_in_the_studio_i
     session = StudioSetup(asked.world, asked.robot, 1, asked.map)
     assert session.scene().world == "twin_of_rec"
     assert session.header().map == str(asked.map.resolve())
+
+
+def test_the_studio_offers_the_tutorials_waypoints_only_where_they_belong(twin, tmp_path):
+    worlds = (str(twin / "world.yaml"), TUTORIAL)
+    folders = [tmp_path / "of_twin", tmp_path / "of_tutorial"]
+    for folder in folders:
+        folder.mkdir()
+    robots = [
+        Robot(StudioSetup(world), folder, EventLog(print))
+        for world, folder in zip(worlds, folders, strict=True)
+    ]
+    try:
+        assert [robot.library.waypoint_files for robot in robots] == [(), ("",)]
+        assert len(robots[1].library.load_waypoints("")) == 8
+        with pytest.raises(InputError, match="another world"):
+            robots[0].library.load_waypoints("")
+    finally:
+        for robot in robots:
+            robot.simulator.close()
+
+
+def test_a_drive_whose_map_has_no_place_to_stand_is_refused(place, tmp_path, capsys):
+    """A wide robot in a narrow passage, by a recording of one that fits through."""
+    (tmp_path / "wide.yaml").write_text(yaml.safe_dump(wide_burger()))
+    capsys.readouterr()
+    words = ["--robot", str(tmp_path / "wide.yaml"), "--drives", "1", "-q", "--out", str(tmp_path / "out")]
+    assert main(["twin", str(place / "rec"), *words]) == 2
+    assert "no place to stand where it drove" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def wide_burger():
+    """A burger of three metres."""
+    told = load_robot("burger").model_dump(mode="json")
+    return told | {"name": "wide", "footprint": [[1.5, 1.5], [-1.5, 1.5], [-1.5, -1.5], [1.5, -1.5]]}
 
 
 def test_a_drive_is_held_on_its_path_whatever_the_commands_say():

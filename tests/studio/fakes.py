@@ -48,7 +48,8 @@ def view(**given):
         | dict.fromkeys(("plan", "local", "graph", "map", "costmap"))
         | dict.fromkeys(("T_map_base", "T_odom_base", "T_world_base"), SE2.identity())
         | dict.fromkeys(("odom_path", "slam_path", "true_path"), nothing)
-        | dict.fromkeys(("maps", "waypoint_files", "goals", "events", "keepout"), ())
+        | dict.fromkeys(("maps", "goals", "events", "keepout"), ())
+        | {"waypoint_files": ("",)}
         | dict.fromkeys(("mapping", "localised"), False)
         | {"stamp_ns": 0, "owner": "navigation", "command": (0.0, 0.0), "task": "", "state": ""}
         | {"goal_index": -1, "boxes": np.zeros((0, 4))}

@@ -186,7 +186,7 @@ def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, true_
         assert len(view.boxes) == len(view.odom_path.points) == 0
         assert view.odom_path.version > start.odom_path.version
         assert view.map_name == ""
-        assert view.waypoint_files == ("one",)
+        assert view.waypoint_files == ("", "one")
         person.wait(2.0)
         assert person.view.owner == "navigation"
         assert person.view.command == (0.0, 0.0)

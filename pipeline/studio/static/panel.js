@@ -56,7 +56,7 @@ export function show(head, deskName) {
   // Another page may have taken a name as well.
   if (head.recording == null && document.activeElement !== bag.elements[0]) while (head.bags?.includes(bag.elements[0].value)) bag.elements[0].value = nextName(bag.elements[0].value);
   options(byId("maps"), head.maps ?? [], "the initial map");
-  options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's");
+  options(byId("files"), head.waypoint_files ?? [], "the tutorial's");
   put(byId("sure"), "value", head.lost ? 0 : head.sure ?? 0);
   text("place", placeOf(head));
   put(byId("cancel"), "disabled", !head.task);

@@ -24,7 +24,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import Array
-from turtlebag.reports.stages import Stage, load_stage
+from turtlebag.reports.stages import Stage, load_output, load_stage
 
 Self = TypeVar("Self", bound="Output")
 
@@ -68,7 +68,7 @@ class Output:
         return self._mood_and_verdict[1]
 
     def _load(self) -> Stage | None:
-        stage = load_stage(self.path)
+        stage = load_output(self.path)
         if stage.kind != self.kind:
             raise InputError(f"{self.path}: is an output of {stage.kind}, not of {self.kind}")
         return stage

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import Array
 from turtlebag.reports.kinds import stage_metrics, verdict
 from turtlebag.reports.numbers import leaves
-from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest, read_path
+from turtlebag.reports.stages import Stage, load_stage, read_json, read_path
 from turtlebag.reports.system_comparison import SystemComparison, SystemsMetrics
 from turtlebag.reports.verdicts import overall_mood
 
@@ -123,21 +123,12 @@ class _Page(Output):
 
     shown = ""
     files: tuple[str, ...] = ("page",)
+    stage: Stage
 
     @property
     def page(self) -> Path:
         """The page, for a browser."""
         return self.path / "index.html"
-
-    @cached_property
-    def metrics(self) -> dict[str, Any]:
-        """Its metrics.json: by world and stage in a report."""
-        return read_json(self.path / "metrics.json")
-
-    def _load(self) -> None:
-        self._manifest = read_manifest(self.path / "manifest.json")
-        if self._manifest.stage != self.kind:
-            raise InputError(f"{self.path}: is an output of {self._manifest.stage}, not of {self.kind}")
 
     def _facts(self) -> dict[str, str]:
         return {name: str(getattr(self, name)) for name in self.files}
@@ -172,11 +163,6 @@ class Identification(_RobotPage):
         told = {name: [entry[name] for entry in entries.values()] for name in ("unit", "observable")}
         return Table({"name": [*entries], **columns, **told})
 
-    @cached_property
-    def _mood_and_verdict(self) -> tuple[str, str]:
-        shown = sum(map(bool, self.parameters["observable"]))
-        return "neutral", f"{shown} of {len(self.parameters)} parameters are shown by the recording."
-
 
 class Twin(_RobotPage):
     """The result of `twin`: world, robot and map of a recording, and the page real beside simulated."""
@@ -206,11 +192,6 @@ class Twin(_RobotPage):
             columns[name] = [entry[name] for entry in entries.values()]
         return Table({"name": [*entries], **columns})
 
-    @cached_property
-    def _mood_and_verdict(self) -> tuple[str, str]:
-        apart, entries = self.metrics["told_apart"], self.metrics["quantities"]
-        return "neutral", f"Real and simulated differ in {len(apart)} of {len(entries)} quantities."
-
 
 class Comparison(_Page):
     """The result of `compare`, of two outputs, or of ours and other systems."""
@@ -224,10 +205,11 @@ class Comparison(_Page):
         several runs their median."""
         sides = self.metrics.get("sides")
         if sides is not None:
-            medians = {
+            columns = {"number": [*sides["A"]["numbers"]]}
+            columns |= {
                 name: [one["median"] for one in side["numbers"].values()] for name, side in sides.items()
             }
-            return Table({"number": [*sides["A"]["numbers"]], **medians})
+            return Table(columns)
         told = {name: dict(leaves(numbers)) for name, numbers in self.metrics["systems"].items()}
         rows = [*dict.fromkeys(row for numbers in told.values() for row in numbers)]
         columns = {name: [one.get(row) for row in rows] for name, one in told.items()}
@@ -245,20 +227,16 @@ class Report(_Page):
 
     kind = "report"
 
-    def _load(self) -> None:
-        super()._load()
-        manifest = self._manifest
-        self._places = {name: self.path / place for name, place in manifest.folders.items()}
-
     @cached_property
     def _mood_and_verdict(self) -> tuple[str, str]:
         mood = overall_mood(mood for mood, _ in self._verdicts.values())
-        return mood, f"{len(self._places)} outputs"
+        return mood, f"{len(self.stage.manifest.folders)} outputs"
 
     @cached_property
     def _verdicts(self) -> dict[str, tuple[str, str]]:
         """The outputs that it shows, if they still exist."""
-        found = {name: place for name, place in self._places.items() if (place / "manifest.json").is_file()}
+        places = {name: self.path / place for name, place in self.stage.manifest.folders.items()}
+        found = {name: place for name, place in places.items() if (place / "manifest.json").is_file()}
         stages = {name: load_stage(place) for name, place in found.items()}
         return {name: verdict(stage, stage_metrics(stage)) for name, stage in stages.items()}
 
