@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -71,9 +71,9 @@ class Columns:
         """Stamps and log times [ns] (n,), the place of each message's texts in `texts` (n,), and its wanted
         numbers (n, k)."""
         self._decode()
-        whole = tuple(np.concatenate(parts) for parts in zip(*self._blocks, strict=True))
-        self._blocks = [whole]
-        return whole
+        stamps, times, texts, numbers = map(np.concatenate, zip(*self._blocks, strict=True))
+        self._blocks = [(stamps, times, texts, numbers)]
+        return self._blocks[0]
 
     def _decode(self) -> None:
         """Decode the messages that wait."""
@@ -111,7 +111,7 @@ class Columns:
         end = cursor.at
         cursor.take("d", self._layout.numbers)
         order, first = cursor.order, cursor.at - 8 * self._layout.numbers
-        fields = {
+        fields: Any = {
             "names": ["sec", "nanosec", "numbers"],
             "formats": [f"{order}i4", f"{order}u4", (f"{order}f8", (self._layout.numbers,))],
             "offsets": [STAMP, STAMP + 4, first],

@@ -90,9 +90,9 @@ def read_poses(path: Path, topic: str) -> Trajectory:
     for message in bag.messages(_wanted(topic, POSES, seen)):
         columns = columns or Columns(POSES[message.topic.msgtype], bag.cursor)
         columns.add(message.log_time_ns, message.data)
-    stamps, _, _, numbers = columns.arrays() if columns else (np.zeros(0),) * 4
-    if not len(stamps):
+    if columns is None or not len((arrays := columns.arrays())[0]):
         raise InputError(f"{path}: {_missing(topic, seen, 'poses')}")
+    stamps, _, _, numbers = arrays
     return Trajectory(stamps, SE2.from_array(np.column_stack([numbers[:, :2], yaws_of(numbers[:, 2:6])])))
 
 
