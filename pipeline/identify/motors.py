@@ -18,7 +18,7 @@ DELAY_STEP_S = 0.01
 DELAYS_S = np.arange(-0.1, 0.605, DELAY_STEP_S)
 STEPS = 28
 # An acceleration is known to no better than this share of a step.
-FLOORS = {"max_dv": 0.02, "max_dw": 0.1}
+FLOORS = {"max_dv": 0.04, "max_dw": 0.1}
 # Commands that change by this share of the largest count as changes; so many are needed.
 CHANGE, ENOUGH = 0.1, 5
 
