@@ -115,7 +115,7 @@ def _delay(parts: list[Array], changes: list[int], every_s: float, limits: Limit
     # between two commands or two readings of the speed, any delay is as good
     width = max(_middle(both.sum(axis=0))[1], every_s)
     sigma = float(np.hypot(sigmas[0], 0.6 * width / 1.96))
-    found.estimates.append(Estimate("command_delay", value, sigma, "s", EQUATION, "", freedom))
+    found.estimates.append(Estimate("command_delay", value, sigma, "s", EQUATION, "", freedom, True))
 
 
 def _middle(cost: Array) -> tuple[float, float]:
