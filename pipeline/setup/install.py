@@ -91,8 +91,8 @@ def trial(environment: Path, project: Path) -> None:
 
     Where Python may not write bytecode, each process would compile the sources again.
     """
-    compileall = [environment / "bin/python", "-m", "compileall", "-qq", "-j", "0", "-x", "/tests/"]
-    subprocess.run([*compileall, *project.glob("[!.]*")], check=False)
+    compileall = [str(environment / "bin/python"), "-m", "compileall", "-qq", "-j", "0", "-x", "/tests/"]
+    subprocess.run([*compileall, *map(str, project.glob("[!.]*"))], check=False)
     print("set-up: trial run, which compiles the numeric kernels", flush=True)
     env = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
     doctor = subprocess.Popen([environment / "bin/turtlebag", "doctor", "--trial"], env=env)
