@@ -18,7 +18,6 @@ import select
 import signal
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -61,7 +60,7 @@ def first(verb: str, folder: Path) -> Row:
     return {"first_s": round(min(_until_words(command) for _ in range(3)), 2)}
 
 
-def _until_words(command: Sequence[str]) -> float:
+def _until_words(command: list[str]) -> float:
     child, terminal = pty.fork()
     if child == 0:
         os.execv(command[0], command)
