@@ -111,6 +111,9 @@ def folder() -> Path | None:
     try:
         if not found.is_dir():
             found.mkdir(parents=True)
+            logging.getLogger("turtlebag").info(
+                "note: compiling kernels (up to a minute, once); turtlebag doctor --trial compiles all"
+            )
             for old in sorted(place.iterdir(), key=lambda path: path.stat().st_mtime)[:-MOST_FOLDERS]:
                 shutil.rmtree(old, ignore_errors=True)
         os.utime(found)

@@ -72,6 +72,7 @@ class Pupil:
         os.close(theirs_in)
         os.close(theirs_out)
         self._questions, self._answers = os.fdopen(ours_out, "wb"), os.fdopen(ours_in, "rb")
+        self._pickler = pickle.Pickler(self._questions)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         self._over = threading.Event()
@@ -94,8 +95,14 @@ class Pupil:
             raise Ended(str(answer.get("fault")))
 
     def new(self, name: str, **given: Any) -> None:
-        """Make an object of the class of that name, in place of the last one."""
-        self._say({"new": name, "given": given})
+        """Make an object of the class of that name, in place of the last one.
+
+        From then on, what it is given again and again, such as a costmap, is sent once.
+        """
+        try:
+            self._say({"new": name, "given": given})
+        finally:
+            self._pickler.clear_memo()
 
     def ask(self, method: str, shape: tuple[int | None, ...] | None, **given: Any) -> Array:
         """Call a method: an array of that shape (None: any length), with finite numbers only.
@@ -116,7 +123,7 @@ class Pupil:
 
     def _say(self, question: dict[str, Any]) -> Any:
         try:
-            pickle.dump(question, self._questions)
+            self._pickler.dump(question)
             self._questions.flush()
         except OSError:
             raise Ended(self._reason()) from None

@@ -18,7 +18,7 @@ DELAY_STEP_S = 0.01
 DELAYS_S = np.arange(-0.1, 0.605, DELAY_STEP_S)
 STEPS = 28
 # An acceleration is known to no better than this share of a step.
-FLOORS = {"max_dv": 0.02, "max_dw": 0.1}
+FLOORS = {"max_dv": 0.04, "max_dw": 0.1}
 # Commands that change by this share of the largest count as changes; so many are needed.
 CHANGE, ENOUGH = 0.1, 5
 
@@ -115,7 +115,7 @@ def _delay(parts: list[Array], changes: list[int], every_s: float, limits: Limit
     # between two commands or two readings of the speed, any delay is as good
     width = max(_middle(both.sum(axis=0))[1], every_s)
     sigma = float(np.hypot(sigmas[0], 0.6 * width / 1.96))
-    found.estimates.append(Estimate("command_delay", value, sigma, "s", EQUATION, "", freedom))
+    found.estimates.append(Estimate("command_delay", value, sigma, "s", EQUATION, "", freedom, True))
 
 
 def _middle(cost: Array) -> tuple[float, float]:

@@ -23,8 +23,11 @@ STILL_S = 15.0
 AGAIN = "then run the same make command again"
 UV = "uv>=0.9,<1"
 PIP = ("-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check", "--no-input")
-# Of the packages, data and libraries of others that nothing of ours reads: 290 MB.
-UNUSED = ("pybullet_data", "pybullet_envs", "gtsam/Data", "open3d/resources", "open3d/open3d_*_ops.so")
+# Data, libraries and tests of the packages that nothing of ours reads: 340 MB.
+UNUSED = (
+    "pybullet_data", "pybullet_envs", "eglRenderer.*", "gtsam/Data", "open3d/resources",
+    "open3d/open3d_*_ops.so", "**/tests",
+)  # fmt: skip
 # What uv does not read by itself of pip's settings, which may stand in its files too.
 OF_PIP = {
     "index-url": "UV_DEFAULT_INDEX", "extra-index-url": "UV_INDEX", "find-links": "UV_FIND_LINKS",
@@ -77,8 +80,8 @@ def install(environment: Path, project: Path, handle: int) -> None:
     run("turtlebag itself", [*uv, *own], "turtlebag itself could not be installed")
     put_on_path(environment, project)
     for packages in environment.glob("lib/python*/site-packages"):
-        for path in (path for name in UNUSED for path in packages.glob(name)):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        for path in [path for name in UNUSED for path in packages.glob(name)]:
+            shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
     trial(environment, project)
     (environment / WHOLE).touch()
 
@@ -88,8 +91,8 @@ def trial(environment: Path, project: Path) -> None:
 
     Where Python may not write bytecode, each process would compile the sources again.
     """
-    compileall = [environment / "bin/python", "-m", "compileall", "-qq", "-j", "0", "-x", "/tests/"]
-    subprocess.run([*compileall, *project.glob("[!.]*")], check=False)
+    compileall = [str(environment / "bin/python"), "-m", "compileall", "-qq", "-j", "0", "-x", "/tests/"]
+    subprocess.run([*compileall, *map(str, project.glob("[!.]*"))], check=False)
     print("set-up: trial run, which compiles the numeric kernels", flush=True)
     env = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
     doctor = subprocess.Popen([environment / "bin/turtlebag", "doctor", "--trial"], env=env)

@@ -26,7 +26,7 @@ from turtlebag.planners.footprint import (
     footprint_clearance,
     sample_footprint,
 )
-from turtlebag.planners.grid_distance import GridDistance, grid_distance
+from turtlebag.planners.grid_distance import grid_distance
 
 
 class DwaConfig(Settings):
@@ -99,16 +99,6 @@ TURNING_M, PASSAGE_M = 0.04, 0.08
 """Passages wider than the circumscribed circle plus the first are preferred, however long the way; those
 narrower than the inscribed circle plus the second are not used. With 0.04 for both the jackal almost touches
 something (BARN 250: 0.0 m instead of 0.036), with 0.08 for both it gets stuck in one of 13 worlds."""
-CORRIDOR_M = 0.6
-"""Ways farther from the path are used only where none nearer leads to the goal: of two of nearly one length
-the arcs took another than the path, and the robot went back and forth between them."""
-BEYOND, BEYOND_CELLS = 3.0, 6
-"""A metre off the floor counts as so many on it, up to so many cells: without that, no arc that ends there
-was better than standing still."""
-YIELD_M = 0.01
-"""An arc that starts with less than the least clearance may lose so much of it: cells are no finer."""
-TIGHT_M = 0.04
-"""But it keeps this [m]."""
 
 
 TUTORIAL_WINDOW = Window(
@@ -149,17 +139,11 @@ class Dwa(Ramped):
         self._costmap: Costmap | None = None
         self._floor: ArcFloor | None = None
         self._to_path: tuple[SE2, Field32] | None = None  # and the frame of its grid
-        # Floors to try, by how far they keep off obstacles and how far from the path they end. One that does
-        # not lead to the goal is not tried again on this path, or it would send the robot to and fro.
-        wide, narrow = self.samples.circumscribed + TURNING_M, self.samples.inscribed + PASSAGE_M
-        self._all_floors = (wide, CORRIDOR_M), (narrow, CORRIDOR_M), (wide, np.inf), (narrow, np.inf)
-        self._floors: tuple[tuple[float, float], ...] = self._all_floors
 
     def set_path(self, poses: SE2) -> None:
         """Follow a new path; the last pose is the goal."""
         self._path = poses
         self._floor = self._to_path = None
-        self._floors = self._all_floors
         self._settler.set_path(poses)
         self.state = Phase.FOLLOW
 
@@ -187,22 +171,22 @@ class Dwa(Ramped):
         res = costmap.resolution
         cells = np.floor((costmap.T_grid_map @ self._path.xy)[:, ::-1] / res).astype(np.int64)
         cells = np.clip(cells, 0, np.array(costmap.lethal.shape) - 1)
+        here = np.floor((costmap.T_grid_map @ pose.xy)[::-1] / res).astype(np.int64)
+        here = np.clip(here, 0, np.array(costmap.lethal.shape) - 1)
+        s = self.samples
+        for radius in (
+            s.circumscribed + TURNING_M,
+            s.inscribed + PASSAGE_M,
+        ):
+            free = costmap.clearance > radius
+            to_goal = grid_distance(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
+            if np.isfinite(to_goal[here[0], here[1]]):
+                break
         if self._to_path is None or self._to_path[0] is not costmap.T_map_grid:
             on = np.zeros(costmap.lethal.shape, dtype=bool)
             on[cells[:, 0], cells[:, 1]] = True
             self._to_path = costmap.T_map_grid, distance_field(on, res)
-        to_path = self._to_path[1]
-        here = np.floor((costmap.T_grid_map @ pose.xy)[::-1] / res).astype(np.int64)
-        here = np.clip(here, 0, np.array(costmap.lethal.shape) - 1)
-        while True:
-            radius, corridor = self._floors[0]
-            free = (costmap.clearance > radius) & (to_path < corridor)
-            to_goal = grid_distance(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf)
-            continued(to_goal, costmap.clearance, BEYOND, BEYOND_CELLS)
-            if np.isfinite(to_goal[here[0], here[1]]) or len(self._floors) == 1:
-                break
-            self._floors = self._floors[1:]
-        return ArcFloor(costmap.clearance, to_goal * np.float32(res), to_path, res)
+        return ArcFloor(costmap.clearance, to_goal, self._to_path[1], res)
 
     def speeds(self, last: Twist) -> tuple[Array, Array]:
         """The dynamic window: speeds (n,) and turning speeds (m,) that are tried after a command."""
@@ -238,27 +222,6 @@ def value_at(field: Field32, resolution: float, x: float, y: float, otherwise: f
     if row < 0 or col < 0 or row >= rows or col >= cols or not math.isfinite(field[row, col]):
         return otherwise
     return field[row, col]
-
-
-@njit(cache=True)
-def continued(distance: GridDistance, clearance: Field32, cost: float, rounds: int) -> None:
-    """Continue distances [cells] by `rounds` cells beyond those that were reached, at a `cost` for each, but
-    not into obstacles."""
-    rows, cols = distance.shape
-    cells = [(r, q) for r in range(rows) for q in range(cols) if math.isfinite(distance[r, q])]
-    for _ in range(rounds):
-        beyond = [(0, 0) for _ in range(0)]
-        for r, q in cells:
-            for dr in range(-1, 2):
-                for dq in range(-1, 2):
-                    y, x = r + dr, q + dq
-                    if not (0 <= y < rows and 0 <= x < cols) or clearance[y, x] <= 0.0:
-                        continue
-                    farther = distance[r, q] + cost * math.hypot(dr, dq)
-                    if farther < distance[y, x]:
-                        distance[y, x] = farther
-                        beyond.append((y, x))
-        cells = beyond
 
 
 @njit(cache=True)
@@ -330,7 +293,7 @@ def along_arc(
     """Least room along an arc [m], and the pose where it is judged; -inf if the arc is not admissible.
 
     It is admissible if the robot can stop before its clearance falls below the least one; an arc that starts
-    with less (`here`) may lose hardly any, or only gain where that is too little.
+    with less (`here`) may only gain clearance.
     """
     clearance, resolution, circumscribed = floor.clearance, floor.resolution, footprint.circumscribed
     # More room than this makes no difference.
@@ -340,7 +303,6 @@ def along_arc(
     horizon = max(c.time, abs(v) / c.braking + STEP_S)
     steps, judged = math.ceil(horizon / STEP_S), round(c.time / STEP_S)
     room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S
-    least = c.least if here >= c.least else min(c.least, max(here - YIELD_M, TIGHT_M))
     ex, ey, eyaw = x, y, yaw
     for i in range(1, steps + 1):
         px, py, pyaw = moved(x, y, yaw, v, w, i * STEP_S)
@@ -351,7 +313,7 @@ def along_arc(
             # If nothing is within the circle, nothing is within the polygon: its outline decides.
             checked = edge if center > circumscribed + resolution else footprint
             d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
-        if d < least and d <= here:
+        if d < c.least and d <= here:
             # It stops here at the latest, so this is the end of the arc.
             if abs(v) * (i - 1) * STEP_S < stop_needed or i <= 2:
                 return -np.inf, ex, ey, eyaw

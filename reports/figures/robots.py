@@ -96,11 +96,16 @@ def draw_twin(
 
 def effects(quantities: Mapping[str, Mapping[str, Any]]) -> Figure:
     """Cliff's delta of each quantity, of the entries of metrics.json."""
-    figure = style.new_figure(0.8 + 0.24 * len(quantities))
+    figure = style.new_figure(0.8 + 0.3 * len(quantities))
     axes = figure.subplots()
     entries = list(quantities.values())[::-1]
     colours = [style.series_colour(0) if one["told_apart"] else style.MUTED for one in entries]
-    axes.barh([one["label"] for one in entries], [one["cliffs_delta"] for one in entries], color=colours)
+    rows = np.arange(len(entries))
+    axes.barh(rows, [one["cliffs_delta"] for one in entries], 0.4, color=colours)
+    # above the bars: beside them, names as long as these leave none of the width
+    for row, one in enumerate(entries):
+        axes.text(-0.98, row + 0.22, one["label"], fontsize="x-small", verticalalignment="bottom")
+    axes.set_yticks([])
     axes.set_xlim(-1.0, 1.0)
     axes.set_xlabel("Cliff's delta")
     return figure

@@ -44,7 +44,7 @@ sys.executable, sys.argv = '$0', sys.argv[1:]
 runpy.run_path(sys.argv[0], run_name='__main__')" "${{@:2}}";;
   "-m pip config list"*) echo "global.index-url='https://who:secret@mirror.example/simple'";;
   "-m venv "*) mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; touch "$3/pyvenv.cfg"
-    mkdir -p "$3"/lib/python3.0/site-packages/{{gtsam,open3d}}/{{Data,used}}
+    mkdir -p "$3"/lib/python3.0/site-packages/{{gtsam,open3d}}/{{Data,used,tests}}
     touch "$3"/lib/python3.0/site-packages/open3d/open3d_{{tf,torch}}_ops.so
     printf '#!/bin/bash\necho "$*$PYTHONDONTWRITEBYTECODE" >> {calls}\n[ ! -e {sick} ]' > "$3/bin/turtlebag"
     chmod +x "$3/bin/turtlebag";;

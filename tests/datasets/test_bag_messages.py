@@ -8,6 +8,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests.helpers.foreign_bags import STORE, TYPES, S
 from turtlebag.datasets.bags import cdr, decode
+from turtlebag.datasets.bags.columns import POSES, SAMPLES, Columns
 from turtlebag.datasets.bags.decode import BadMessage, Cursor, Ros1Cursor
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, Joints, LidarSpec, Scan, Twist
@@ -46,12 +47,26 @@ GEOMETRY = (
 )
 
 
+def one_of(layout):
+    """Reads one message as a topic of its own."""
+
+    def read(cursor):
+        columns = Columns(layout, type(cursor))
+        columns.add(0, cursor.data)
+        stamps, _, _, numbers = columns.arrays()
+        if columns.damaged == [0]:
+            raise BadMessage
+        return (*stamps.tolist(), *columns.texts[0], *numbers[0].tolist())
+
+    return read
+
+
 def built(store, rng, frame, child):
     """One message of each type by its name, how it is read, and what that should give."""
     xyz, angular, quaternion, variances = (rng.normal(size=n) for n in (3, 3, 4, 36))
     qx, qy, qz, qw = quaternion
     yaw = math.atan2(2.0 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-    at = (*map(pytest.approx, xyz[:2]), tuple(quaternion))
+    at = (*xyz[:2], *quaternion)
     ranges = rng.random(len(frame) + 3).astype(np.float32)
     geometry = [float(np.float32(v)) for v in rng.random(7)]
     place = pose(store, xyz, quaternion)
@@ -82,11 +97,17 @@ def built(store, rng, frame, child):
         scan,
         (STAMP, ours, tuple(geometry), pytest.approx(ranges)),
     )
-    moving, still = (xyz[0], xyz[1], angular[2]), (0.0, 0.0, 0.0)
-    yield "nav_msgs/Odometry", decode.odometry, drive, (STAMP, ours, below, *at, moving)
-    yield "geometry_msgs/PoseStamped", decode.pose_stamped, {"pose": place}, (STAMP, ours, "", *at, still)
+    moving = xyz[0], xyz[1], angular[2]
+    yield (
+        "nav_msgs/Odometry",
+        one_of(POSES["nav_msgs/msg/Odometry"]),
+        drive,
+        (STAMP, ours, below, *at, *moving),
+    )
+    stamped = one_of(POSES["geometry_msgs/msg/PoseStamped"])
+    yield "geometry_msgs/PoseStamped", stamped, {"pose": place}, (STAMP, ours, *at)
     yield "geometry_msgs/TransformStamped", decode.transforms, link, [linked] * 2
-    yield "sensor_msgs/Imu", decode.imu, sample, (STAMP, ours, tuple(angular), tuple(xyz))
+    yield "sensor_msgs/Imu", one_of(SAMPLES), sample, (STAMP, ours, *angular, *xyz)
     yield "geometry_msgs/Twist", decode.twist, speeds, (xyz[0], angular[2])
     yield "geometry_msgs/TwistStamped", decode.twist_stamped, {"twist": motion}, (xyz[0], angular[2])
     yield "geometry_msgs/PoseArray", decode.pose_array, {"poses": [place, place]}, (STAMP, rows)

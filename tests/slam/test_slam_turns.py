@@ -73,6 +73,17 @@ def test_odometry_is_late_or_turned_over_by_the_delay_at_which_all_turns_agree(s
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.08, -0.06])
+def test_a_delay_that_is_too_unsure_to_be_undone_is_told_as_it_is(paired, seconds):
+    """It was told as none, with the interval of another."""
+    timing = compared_times(late(paired.recording, seconds))
+    delay = timing.times.delay_s
+    assert timing.late_s == 0.0
+    assert delay.value == pytest.approx(seconds, abs=3.0 * delay.sigma)
+    assert delay.value == pytest.approx(seconds, abs=0.05)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
 def test_a_delay_is_found_and_undone(turning, seconds):
     recording = late(turning.recording, seconds)

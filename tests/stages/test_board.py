@@ -60,6 +60,8 @@ def test_a_line_counts_those_that_say_yes():
         campaign, [{**row, **nothing, "seed": seed, "arrived": seed > 1} for seed in (1, 2, 3)]
     )
     assert (line.kind, line.numbers["arrived"]) == ("25, clean", (pytest.approx(2 / 3), "2 of 3"))
+    (line,) = lines_of(campaign, [{**row, **nothing, "seed": 1, "arrived": False}])
+    assert line.numbers["arrived"] == (0.0, "no")
 
 
 def test_a_chapter_of_which_every_row_failed_has_its_figures_without_marks(tmp_path):

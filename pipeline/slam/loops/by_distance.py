@@ -99,8 +99,8 @@ def close_loops(
     """
     finder = LoopFinder(scans, T_map_keys, steps, closing, part, known)
     parts = batches(len(scans.keys))
-    for part_of_log in progress(parts, "closing loops", len(parts)):
-        finder.process(part_of_log)
+    for k in progress(range(len(parts)), "closing loops", len(parts)):
+        finder.process(parts[k])
     return finder
 
 

@@ -179,7 +179,9 @@ def _begun(look: Look, belief: Belief, said: LidarSpec, period_s: float) -> Beli
 def _times(look: Look, belief: Belief, over: bool | None, period_s: float) -> SensorTimes:
     """What the stretches say about the times, deskewed as is believed."""
     seen = look(belief)
-    delay, sweep, first = Estimate(belief.late_s, seen.turns.delay_sigma), None, None
+    delay, sweep, first = seen.turns.delay, None, None
+    if belief.late_s != 0.0:  # it is established, and by the middle of the sweeps
+        delay = delay._replace(value=belief.late_s)
     sectors_s: tuple[float, ...] = ()
     if seen.sectors:
         best = best_sweep(belief.lidar, seen.sectors, period_s, belief.lidar.first_beam)

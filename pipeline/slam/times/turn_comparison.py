@@ -16,6 +16,7 @@ from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.motion import without_gap
 from turtlebag.datasets.robust import cauchy_cost, sigma_by_median
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.sensor_times import Estimate
 from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.pipeline.slam.odometry.track import Track
 
@@ -59,14 +60,17 @@ class Turns(NamedTuple):
         return np.asarray(cauchy_cost((self.off / sigma) ** 2) @ of_stretch)
 
     @property
-    def delay_sigma(self) -> float:
-        """Standard deviation of the delay [s], by the curvature of the costs about the least one."""
+    def delay(self) -> Estimate:
+        """The delay [s] at which they agree best, by the parabola of the costs about the least one."""
         costs = self.costs(self.sigma)[0].sum(axis=1)
         best, step = int(costs.argmin()), float(DELAYS_S[1] - DELAYS_S[0])
         around = costs[np.clip([best - 1, best, best + 1], 0, len(costs) - 1)]
         curvature = float(around[0] - 2.0 * around[1] + around[2]) / step**2
+        if curvature <= 0.0:
+            return Estimate(0.0, np.inf)
+        aside = float(np.clip(0.5 * (around[0] - around[2]) / (curvature * step), -0.5 * step, 0.5 * step))
         # spans of successive scans overlap
-        return float(np.sqrt(SPAN / curvature)) if curvature > 0.0 else np.inf
+        return Estimate(float(DELAYS_S[best]) + aside, float(np.sqrt(SPAN / curvature)))
 
 
 def delay_of(turns: Turns) -> tuple[float, bool | None]:
