@@ -36,7 +36,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio studio-pictures notebooks record map navigate report verify dist docs lint test browser clean \
-  bench results bench-speed bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install platforms bench-sweep bench-front-ends bench-peers peers mutants coverage pytest study-advice study-ablation study-breaks board
+  bench results bench-speed bench-commands bench-sim bench-slam bench-slam-all bench-coverage bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-install platforms bench-sweep bench-front-ends bench-peers peers mutants coverage pytest study-advice study-ablation study-breaks board
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -122,11 +122,13 @@ notebooks: $(READY) ## run the notebooks and keep what they show   (needs `.venv
 	$(PY) .ci/site/notebooks.py docs/notebooks
 	$(PY) .ci/site/notebooks.py docs/course
 
-bench: bench-speed bench-sim bench-slam bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
+bench: bench-speed bench-commands bench-sim bench-slam bench-localise bench-plan bench-navigate bench-twin bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
 results: $(READY) ## the tables of docs/results.md, each row over at least ten seeds (TURTLEBAG_DATA=folder of the public logs)
 	$(PY) -m benchmarks.results
 bench-speed: $(READY) ## simulation and navigation: simulated seconds per second, AMCL's milliseconds, two cores (TURTLEBAG_DATA for BARN)
 	$(PY) -m benchmarks.speed
+bench-commands: $(READY) ## whole commands: mapping, the demo with report and verify, until the first words   (TURTLEBAG_DATA for Intel, ACES)
+	$(PY) -m benchmarks.commands
 bench-sim: $(READY) ## simulated seconds per second, by world and robot
 	$(PY) -m benchmarks.sim
 bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-all
@@ -159,6 +161,7 @@ bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question 
 	$(PY) -m benchmarks.sweep
 
 mutants: $(READY) ## mutation tests: small mistakes in the code, and how many a test notices   (SEED, N mutants)
+	.venv/bin/pip install --quiet 'cosmic-ray>=8.4,<9'
 	$(PY) -m tests.mutants $(SEED) $(or $(N),20)
 
 # Kernels are measured where they run as plain Python: in the quick tests that call them, compared with a reference.

@@ -226,7 +226,7 @@ def barn_kind(name: str, seed: int) -> Trial:
 def through_posts(world: World, length: float, seed: int) -> Trial:
     """BARN's challenge in a world through which the best way is this long [m]."""
     # The robot stops by its drifting odometry, the challenge judges by the truth: leave room between.
-    checker = GoalCheckerConfig(xy_goal_tolerance=0.75, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
+    checker = GoalCheckerConfig(xy_goal_tolerance=0.5, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
     config = NavigateConfig(goal_checker=checker)
     request = Request(task="goal", seed=seed, start=START, goal=GOAL, timeout_s=100.0)
     score = functools.partial(_barn_score, length / 2.0)

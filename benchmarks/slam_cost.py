@@ -66,20 +66,26 @@ print(json.dumps([code, used.ru_utime + used.ru_stime, used.ru_maxrss]))
 """
 
 
+def metered(command: list[str]) -> tuple[float, float]:
+    """CPU seconds (user and system) and peak memory [MB] of a command; RuntimeError where it fails."""
+    meter = [sys.executable, "-I", "-S", "-c", METER]
+    done = subprocess.run([*meter, *command], capture_output=True, text=True, check=True)
+    code, cpu_s, peak_kb = json.loads(done.stdout.splitlines()[-1])
+    if code:
+        raise RuntimeError(done.stderr.strip() or f"exit code {code}")
+    return cpu_s, peak_kb / 1e3
+
+
 def map_cost(log: Path, scratch: Path) -> Row:
     """CPU seconds (user and system) and peak memory [MB] of mapping a file.
 
     A run that had to compile a kernel does not count: the map is made again. RuntimeError when there is none.
     """
-    meter = [sys.executable, "-I", "-S", "-c", METER]
-    command = [*meter, sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
+    command = [sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
     while True:
         with tempfile.TemporaryDirectory(dir=scratch) as place:
             before, out = _compiled(), Path(place) / "map"
-            done = subprocess.run([*command, str(out)], capture_output=True, text=True, check=True)
-            code, cpu_s, peak_kb = json.loads(done.stdout.splitlines()[-1])
-            if code:
-                raise RuntimeError(done.stderr.strip() or f"exit code {code}")
+            cpu_s, peak_mb = metered([*command, str(out)])
             if _compiled() != before:
                 continue
             said, grid = tb.Map(out).metrics, tb.Map(out).occupancy
@@ -89,7 +95,7 @@ def map_cost(log: Path, scratch: Path) -> Row:
                 "area_m2": round(np.count_nonzero(grid.cells != UNKNOWN) * grid.resolution**2),
                 "cpu_s": round(cpu_s, 1),
                 "ms a scan": round(1e3 * cpu_s / said["scans"], 2),
-                "peak_mb": round(peak_kb / 1e3),
+                "peak_mb": round(peak_mb),
                 "verdict": said["self_check"]["verdict"],
             }
 

@@ -15,6 +15,7 @@ counts; nothing is kept, all is measured anew.
 
 from __future__ import annotations
 
+import gc
 import os
 import tempfile
 import time
@@ -31,6 +32,7 @@ from benchmarks.drives import PLACES, Maps
 from benchmarks.localise import speed as amcl
 from benchmarks.navigate import Scenario, episode_row
 from benchmarks.runner import Row, Suite, each, every, options, parsed, run
+from turtlebag.pipeline.__main__ import GARBAGE_AFTER
 from turtlebag.pipeline.stages.run import run as run_stage
 
 RUNS, PATROLS = 3, 10
@@ -48,9 +50,9 @@ def best(timed: Callable[[], float]) -> Row:
 
 def patrol(controller: str, maps: Path) -> Row:
     """The patrol of the arena as the API runs it, its outputs included."""
-    yaml = Maps(maps, "realistic").slam(*PLACES["arena"])
-    settings = {"controller": controller}
-    return best(lambda: tb.navigate(yaml, task=tb.Patrol(), settings=settings).metrics["time_s"])
+    yaml, (world, robot) = Maps(maps, "realistic").slam(*PLACES["arena"]), PLACES["arena"]
+    about = {"world": world, "robot": robot, "settings": {"controller": controller}}
+    return best(lambda: tb.navigate(yaml, task=tb.Patrol(), **about).metrics["time_s"])
 
 
 def barn(seed: int) -> Row:
@@ -94,5 +96,6 @@ def suites(args: Namespace) -> dict[str, Suite]:
 
 
 if __name__ == "__main__":
+    gc.set_threshold(GARBAGE_AFTER)  # as for a command
     print(f"{get_host_cpu_name()}, {os.cpu_count()} cores")
     run(*parsed(options(__doc__, "data/benchmarks/speed"), suites))

@@ -58,7 +58,7 @@ class KeptKernel:
     """numba's cache of one kernel, made when that is first called; trouble with it never ends a command."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._function, self._on = function, True
+        self._function = function
 
     @cached_property
     def _numbas(self) -> Any:
@@ -83,7 +83,7 @@ class KeptKernel:
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for the argument types, or None."""
-        if self._numbas is None or not self._on:
+        if self._numbas is None:
             return None
         try:
             kept = self._numbas.load_overload(sig, target_context)
@@ -96,22 +96,9 @@ class KeptKernel:
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the code."""
-        if self._numbas is not None and self._on:
+        if self._numbas is not None:
             with suppress(Exception):
                 self._numbas.save_overload(sig, data)
-
-    def enable(self) -> None:
-        """Enable lookup and storage, which is the default."""
-        self._on = True
-
-    def disable(self) -> None:
-        """Neither look up nor keep."""
-        self._on = False
-
-    def flush(self) -> None:
-        """Forget what is kept of the kernel."""
-        with suppress(Exception):
-            self._numbas.flush()
 
 
 @cache
@@ -124,6 +111,9 @@ def folder() -> Path | None:
     try:
         if not found.is_dir():
             found.mkdir(parents=True)
+            logging.getLogger("turtlebag").info(
+                "note: compiling kernels (up to a minute, once); turtlebag doctor --trial compiles all"
+            )
             for old in sorted(place.iterdir(), key=lambda path: path.stat().st_mtime)[:-MOST_FOLDERS]:
                 shutil.rmtree(old, ignore_errors=True)
         os.utime(found)

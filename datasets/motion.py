@@ -35,7 +35,9 @@ def usual_wait_s(waits_s: Array) -> float:
     several = min(max(len(waits_s) // 4, 1), STAMPS_NEAR)
     stamps = np.concatenate([[0.0], np.cumsum(waits_s)])
     means = (stamps[several:] - stamps[:-several]) / several
-    return float(np.median(means[means > 0.0])) if (means > 0.0).any() else 0.0
+    ordered = np.sort(means[means > 0.0])  # np.median takes ten times as long for a few
+    n = len(ordered)
+    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2.0 if n else 0.0
 
 
 def gap_s(waits_s: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -105,8 +106,8 @@ class SE2:
     def inverse(self) -> SE2:
         """`T_b_a` from `T_a_b`."""
         if self.xyt.ndim == 1:
-            x, y, yaw = self.xyt
-            c, s = np.cos(yaw), np.sin(yaw)
+            x, y, yaw = self.xyt.tolist()
+            c, s = math.cos(yaw), math.sin(yaw)
             return SE2(np.array([-c * x - s * y, s * x - c * y, wrapped(-yaw)]))
         c, s = np.cos(self.xyt[..., 2]), np.sin(self.xyt[..., 2])
         x, y = self.xyt[..., 0], self.xyt[..., 1]
@@ -164,15 +165,16 @@ def _joined(*parts: Array) -> Array:
 
 def compose(a: Array, b: Array) -> Array:
     """`T_x_z` from `T_x_y` and `T_y_z`, single poses (3,)."""
-    c, s = np.cos(a[2]), np.sin(a[2])
-    return np.array([a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrapped(a[2] + b[2])])
+    (ax, ay, turn), (x, y, yaw) = a.tolist(), b.tolist()
+    c, s = math.cos(turn), math.sin(turn)
+    return np.array([ax + c * x - s * y, ay + s * x + c * y, wrapped(turn + yaw)])
 
 
 def between(a: Array, b: Array) -> Array:
     """`T_a_b` from `T_x_a` and `T_x_b`, single poses (3,)."""
-    c, s = np.cos(a[2]), np.sin(a[2])
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    return np.array([c * dx + s * dy, -s * dx + c * dy, wrapped(b[2] - a[2])])
+    (ax, ay, turn), (x, y, yaw) = a.tolist(), b.tolist()
+    c, s, dx, dy = math.cos(turn), math.sin(turn), x - ax, y - ay
+    return np.array([c * dx + s * dy, -s * dx + c * dy, wrapped(yaw - turn)])
 
 
 def wrapped(angle: float) -> float:

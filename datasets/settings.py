@@ -35,7 +35,7 @@ class Settings(BaseModel):
     """Base of all settings: immutable, and unknown keys are errors. Keys may be spelled as the British or as
     the Americans do."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     RENAMED: ClassVar[Mapping[str, str]] = {}
     """Present names of keys by their former ones, for the error that a former one is."""
     REMOVED: ClassVar[Mapping[str, str]] = {}

@@ -84,6 +84,10 @@ def save_tum_3d(stamps_ns: Stamps, T: Array, path: Path) -> None:
             file.write(f"{stamp_text(stamp)} {place} {turn}\n")
 
 
+LARGEST = 100_000_000
+"""Bytes of a trajectory file that are read at most: a million poses."""
+
+
 @dataclass(frozen=True)
 class NumberLines:
     """The lines of a text file that are no comment and not blank, by their numbers, as words.
@@ -105,6 +109,8 @@ class NumberLines:
         """Those of a trajectory file; InputError when it has none."""
         if not path.is_file():
             raise InputError(f"{path}: no such trajectory file")
+        if (size := path.stat().st_size) > LARGEST:
+            raise InputError(f"{path}: {size / 1e6:.0f} MB; a trajectory has at most {LARGEST / 1e6:.0f} MB")
         try:
             found = NumberLines.of(path, path.read_text(encoding="utf-8-sig"))
         except UnicodeDecodeError:
@@ -165,6 +171,8 @@ def load_tum(path: Path) -> Trajectory:
     """Read a TUM file (comments and blank lines allowed); only the planar part is kept."""
     lines = NumberLines.read(path)
     rows = lines.numbers(8, TUM_LINE)
+    if len(none := np.flatnonzero(~rows[:, 4:8].any(axis=1))):
+        raise lines.wrong(int(none[0]), "its quaternion is zero")
     if only_rolls(rows[:, 4:8]):
         raise InputError(f"{path}: {W_FIRST}")
     _, x, y, _, qx, qy, qz, qw = rows.T

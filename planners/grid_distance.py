@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,6 @@ _STEPS = sorted(
     key=lambda step: (np.hypot(*step), abs(step[0])),
 )
 _DR, _DC = np.array(_STEPS).T.copy()
-_COST = np.hypot(_DR, _DC)
 
 GridDistance = NDArray[np.float32]
 """What `grid_distance` gives: (rows, cols), in cells."""
@@ -27,35 +28,46 @@ def grid_distance(free: NDArray[np.bool_], row: int, col: int, limit: float) -> 
     once those before are, and lead to [k + 1, k + 3) only.
     """
     rows, width = free.shape[0] + 2, free.shape[1] + 2
-    # A rim that is not free, so that no step leads off the grid; cells are numbered row by row.
-    floor = np.zeros((rows, width), dtype=np.bool_)
-    floor[1:-1, 1:-1] = free
-    floor, steps = floor.ravel(), _DR * width + _DC
-    distance = np.full(rows * width, np.inf, dtype=np.float32)
+    # What is not free has distance 0, so that no way is shorter, and so has a rim around the grid; cells are
+    # numbered row by row.
+    distance = np.zeros(rows * width, dtype=np.float32)
+    for r in range(free.shape[0]):
+        for c in range(free.shape[1]):
+            if free[r, c]:
+                distance[(r + 1) * width + c + 1] = np.inf
     # A cell is put in a bucket at most once for each neighbour; memory that is not used costs nothing.
     bucket, count = np.empty((3, 8 * rows * width), dtype=np.int32), np.zeros(3, dtype=np.int64)
-    bucket[0, 0], count[0] = (row + 1) * width + col + 1, 1
-    distance[bucket[0, 0]] = 0.0
+    source = (row + 1) * width + col + 1
+    bucket[0, 0], count[0], distance[source] = source, 1, 0.0
     k = 0
     while count.sum() > 0 and k <= limit:
         now, soon, later = k % 3, (k + 1) % 3, (k + 2) % 3
         for j in range(count[now]):
-            cell = bucket[now, j]
+            cell = np.int64(bucket[now, j])
             d = distance[cell]
             # A cell that got nearer since it was put here has been dealt with.
             if d < k or d > limit:
                 continue
-            for i in range(8):
-                beside = cell + steps[i]
-                nd = np.float32(d + _COST[i])
-                if floor[beside] and nd < distance[beside]:
-                    distance[beside] = nd
-                    into = soon if nd < k + 2 else later
+            straight, diagonal = np.float32(d + 1.0), np.float32(d + math.sqrt(2.0))
+            for beside in (cell + 1, cell - 1, cell + width, cell - width):
+                if straight < distance[beside]:
+                    distance[beside] = straight
+                    bucket[soon, count[soon]] = beside
+                    count[soon] += 1
+            into = soon if diagonal < k + 2 else later
+            for beside in (cell + width + 1, cell + width - 1, cell - width + 1, cell - width - 1):
+                if diagonal < distance[beside]:
+                    distance[beside] = diagonal
                     bucket[into, count[into]] = beside
                     count[into] += 1
         count[now] = 0
         k += 1
-    return distance.reshape(rows, width)[1:-1, 1:-1].copy()
+    found = distance.reshape(rows, width)[1:-1, 1:-1].copy()
+    for r in range(free.shape[0]):
+        for c in range(free.shape[1]):
+            if not free[r, c] and (r != row or c != col):
+                found[r, c] = np.inf
+    return found
 
 
 @njit(cache=True)

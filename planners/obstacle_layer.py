@@ -143,16 +143,19 @@ def mark_and_clear(
             continue
         ux, uy = dx / length, dy / length
         stop = length - (1.5 * resolution if k < n_hits else 0.0)
-        t = 0.0
-        while t < stop:
+        t, was_col, was_row = -0.5 * resolution, -1, -1
+        while t + 0.5 * resolution < stop:
+            t += 0.5 * resolution
             col, row = math.floor((x + t * ux) / resolution), math.floor((y + t * uy) / resolution)
+            if col == was_col and row == was_row:
+                continue
+            was_col, was_row = col, row
             if 0 <= row < rows and 0 <= col < cols:
                 if seen[row, col] < now_s:
                     seen[row, col] = NEVER
                     hits[row, col] = 0
             elif (ux if col >= cols else -ux if col < 0 else uy if row >= rows else -uy) >= 0.0:
                 break  # off the grid, and away from it
-            t += 0.5 * resolution
     for k in range(n_hits):
         if math.hypot(ends[k, 0] - x, ends[k, 1] - y) > obstacle_range:
             continue

@@ -12,6 +12,8 @@ from turtlebag.datasets.types import Imu, Twist
 from turtlebag.sim.robots import CONTROL_HZ, ImuMount, RobotSpec
 
 RATE_HZ = 100
+DRAWN = 300
+"""Samples whose errors are drawn at once."""
 GRAVITY = 9.81
 
 
@@ -56,6 +58,7 @@ class ImuSensor:
         self._bias = bias * rng.standard_normal(6)
         self._last = Twist()
         self._count = 0
+        self._errors = np.zeros((0, 6))
 
     def samples(self, step: int, twist: Twist) -> tuple[Imu, ...]:
         """Samples taken up to the end of control step number `step`, after which the body has this twist."""
@@ -67,13 +70,19 @@ class ImuSensor:
         at = [(self._count + 1 + k) * (CONTROL_HZ / RATE_HZ) - (step - 1) for k in range(n)]
         self._count = until
         last, self._last = self._last, twist
-        draws = self._rng.standard_normal((2, n, 6))
-        walk = (self._walk * draws[0]).cumsum(axis=0) + self._bias
-        values = self._true(last, twist, at) + self._noise * draws[1] + walk
-        if n:
-            self._bias = walk[-1]
+        while len(self._errors) < n:
+            self._errors = np.concatenate([self._errors, self._drawn()])
+        values = self._true(last, twist, at) + self._errors[:n]
+        self._errors = self._errors[n:]
         period = 10**9 // RATE_HZ
         return tuple(Imu((until - n + 1 + k) * period, values[k, :3], values[k, 3:]) for k in range(n))
+
+    def _drawn(self) -> Array:
+        """Noise and wandering bias of the next samples, (DRAWN, 6)."""
+        noise, steps = self._rng.standard_normal((2, DRAWN, 6))
+        walk = (self._walk * steps).cumsum(axis=0) + self._bias
+        self._bias = walk[-1]
+        return np.asarray(self._noise * noise + walk)
 
     def _true(self, before: Twist, after: Twist, at: list[float]) -> Array:
         """Gyro and specific force, (n, 6), at fractions (n) of a control step; linear speeds between."""

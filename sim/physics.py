@@ -142,8 +142,9 @@ class Physics:
             physicsClientId=self.client,
         )
         found: set[int] = set()
+        step = bullet.stepSimulation
         for _ in range(SUBSTEPS):
-            bullet.stepSimulation(physicsClientId=self.client)
+            step(self.client)
             if watch:
                 found |= self.touched()
         return found

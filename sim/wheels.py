@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -13,6 +14,9 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
+
+DRAWN = 300
+"""Control steps whose slip is drawn at once."""
 
 
 class OdometryConfig(Settings):
@@ -84,6 +88,7 @@ class Slip:
         self._rng = rng
         self._rolled: tuple[float, float] | None = None
         self._in_vain = (0.0, 0.0)
+        self._draws: Iterator[list[float]] = iter(())
 
     def encoders(self, left_rad: float, right_rad: float) -> tuple[float, float]:
         """Angles that the encoders see, from those that moved the robot [rad]."""
@@ -92,12 +97,17 @@ class Slip:
         last = self._rolled or (left_rad, right_rad)
         self._rolled = (left_rad, right_rad)
         left, right = self._radius * (left_rad - last[0]), self._radius * (right_rad - last[1])
-        a, b, both = self._rng.standard_normal(3).tolist()
+        a, b, both = next(self._draws, None) or self._drawn()
         swing = 0.5 * self._track * self._radian * math.sqrt(abs(right - left) / self._track) * both
         left_more = (self._metre * math.sqrt(abs(left)) * a - swing) / self._radius
         right_more = (self._metre * math.sqrt(abs(right)) * b + swing) / self._radius
         self._in_vain = (self._in_vain[0] + left_more, self._in_vain[1] + right_more)
         return left_rad + self._in_vain[0], right_rad + self._in_vain[1]
+
+    def _drawn(self) -> list[float]:
+        """The first of many draws; the others are kept."""
+        self._draws = iter(self._rng.standard_normal((DRAWN, 3)).tolist())
+        return next(self._draws)
 
 
 class WheelOdometry:

@@ -9,11 +9,15 @@ import pytest
 from hypothesis import settings
 
 from tests.helpers.made_once import made_once
+from turtlebag.datasets import kernels
 from turtlebag.pipeline.__main__ import GARBAGE_AFTER
 from turtlebag.pipeline.terminal.messages import verbosity_kept
 
 # As in the command itself: collecting the tests takes a third less.
 gc.set_threshold(GARBAGE_AFTER)
+
+# Made here, or the first command would say that it compiles.
+kernels.folder()
 
 settings.register_profile("turtlebag", derandomize=True, deadline=None)
 settings.load_profile("turtlebag")

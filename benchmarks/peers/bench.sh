@@ -1,5 +1,5 @@
 #!/bin/sh
-# Runs both campaigns and prints their tables: medians over the seeds; a scan's CPU time is without the start.
+# Runs both campaigns and prints their tables; a scan's CPU time is without the start.
 set -e
 for name in slam sim; do
   [ -f data/benchmarks/peers/$name/manifest.json ] ||

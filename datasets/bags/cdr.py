@@ -6,8 +6,8 @@ them lies follows from the definition and from how long texts and sequences are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
 from itertools import chain
 from math import cos, sin
 from struct import Struct, calcsize
@@ -23,7 +23,8 @@ from turtlebag.datasets.types import Imu, Joints, Scan, Twist
 NO_COVARIANCE = np.zeros(36)
 _NO_COVARIANCE = NO_COVARIANCE.tobytes()
 _UNKNOWN_ORIENTATION = 0.0, 0.0, 0.0, 1.0, np.array([-1.0, *[0.0] * 8]).tobytes()
-_WHEELS = Struct("<2d")
+_MOVING = None, 0.0, 0.0, 0.0, 0.0, None
+"""A planar velocity in a layout: only forward and turning speed differ."""
 _FRONT = b"\0\1\0\0"
 """What CDR of little endian begins with; places in a message are counted from behind it."""
 _CODES = {
@@ -32,19 +33,24 @@ _CODES = {
 }  # fmt: skip
 
 
+Row = tuple[float, ...]
+"""The numbers in which a message differs from others of its layout, in order."""
+
+
 @lru_cache(maxsize=256)
-def _layout(kind: str, *lengths: int) -> Struct:
-    """How a message lies in memory: of a text its length with the final zero and its bytes, of a sequence the
-    number of its elements and these. Arrays of numbers are bytes. `lengths` are those of texts and sequences
-    in order."""
+def _codes(kind: str, *lengths: int) -> tuple[tuple[int, str], ...]:
+    """How a message lies in memory, in bytes of padding and codes of `struct`: of a text its length with the
+    final zero and its bytes, of a sequence the number of its elements and these. Arrays of numbers are bytes.
+    `lengths` are those of texts and sequences in order."""
     from rosbags.interfaces import Nodetype
 
-    ahead, codes, place = iter(lengths), ["<"], 0
+    ahead, place = iter(lengths), 0
+    codes: list[tuple[int, str]] = []
 
     def put(code: str, align: int) -> None:
         nonlocal place
         gap = -place % align
-        codes.append(f"{gap}x{code}")
+        codes.append((gap, code))
         place += gap + calcsize("<" + code)
 
     def field(node: Any, about: Any) -> None:
@@ -70,7 +76,62 @@ def _layout(kind: str, *lengths: int) -> Struct:
                     field(*element)
 
     field(Nodetype.NAME, kind)
-    return Struct("".join(codes))
+    return tuple(codes)
+
+
+@lru_cache(maxsize=256)
+def _layout(kind: str, *lengths: int) -> Struct:
+    return Struct("<" + "".join(f"{gap}x{code}" for gap, code in _codes(kind, *lengths)))
+
+
+class Layout:
+    """Messages that differ in numbers only, packed many at a time; `row` makes a row of what one is of."""
+
+    def __init__(
+        self, kind: str, lengths: Sequence[int], values: Sequence[Any], row: Callable[..., Row]
+    ) -> None:
+        """`values` are those of the message in order, None where the row has a number."""
+        self._kind, self._lengths, self._values, self.row = kind, lengths, values, row
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes of a message."""
+        return len(_FRONT) + _layout(self._kind, *self._lengths).size
+
+    @cached_property
+    def _template(self) -> tuple[bytes, np.dtype[np.void], list[str]]:
+        """A message without its numbers, its fields, and those where the numbers belong, one or several."""
+        place, told = len(_FRONT), {}
+        fields: dict[str, tuple[str, int]] = {}
+        for value, (gap, code) in zip(self._values, _codes(self._kind, *self._lengths), strict=True):
+            place, width, name = place + gap, calcsize("<" + code), f"at {place + gap}"
+            array = f"({width // 8},)<f8" if value is None else f"S{width}"
+            if width:
+                fields[name] = array if code.endswith("s") else f"<{code}", place
+                told[name] = value
+            place += width
+        formats, offsets = map(list, zip(*fields.values(), strict=True))
+        dtype = np.dtype(
+            {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": self.size}
+        )
+        message = bytearray(_FRONT.ljust(self.size, b"\0"))
+        template = np.frombuffer(message, dtype)
+        for name, value in told.items():
+            if value is not None:
+                template[name] = value
+        return bytes(message), dtype, [name for name, value in told.items() if value is None]
+
+    def messages(self, rows: Sequence[Row]) -> list[bytes]:
+        """The messages of rows."""
+        template, dtype, names = self._template
+        data, numbers, used = bytearray(len(rows) * template), np.array(rows, dtype=float), 0
+        packed = np.frombuffer(data, dtype)
+        for name in names:
+            field = packed[name]
+            width = field[0].size
+            field[...] = numbers[:, used : used + width].reshape(field.shape)
+            used += width
+        return [bytes(data[k : k + self.size]) for k in range(0, len(data), self.size)]
 
 
 def _bytes(kind: str, lengths: Sequence[int], *values: Any) -> bytes:
@@ -92,17 +153,32 @@ def _pose(x: float, y: float, yaw: float) -> tuple[float, ...]:
     return x, y, 0.0, 0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)
 
 
-def _velocity(twist: Twist) -> tuple[float, ...]:
-    return twist.v, 0.0, 0.0, 0.0, 0.0, twist.w
-
-
-def odometry(frame: str, child: str, stamp_ns: int, T: SE2, velocity: Twist, covariance: Array) -> bytes:
-    """nav_msgs/Odometry; `covariance` (36,) of the pose."""
+def odometry(frame: str, child: str, covariance: Array) -> Layout:
+    """nav_msgs/Odometry of a stamp, a pose and a twist; `covariance` (36,) of the pose."""
     above, below = _text(frame), _text(child)
-    pose = *_pose(*T.xyt.tolist()), covariance.tobytes()
-    moving = *_velocity(velocity), _NO_COVARIANCE
-    lengths = above[0], below[0]
-    return _bytes("nav_msgs/msg/Odometry", lengths, *_stamp(stamp_ns), *above, *below, *pose, *moving)
+    pose = None, None, 0.0, 0.0, 0.0, None, None, covariance.tobytes()
+    values = None, None, *above, *below, *pose, *_MOVING, _NO_COVARIANCE
+    return Layout("nav_msgs/msg/Odometry", (above[0], below[0]), values, _odometry)
+
+
+def _odometry(stamp_ns: int, T: SE2, velocity: Twist) -> Row:
+    return *divmod(stamp_ns, 1_000_000_000), *_place(T), velocity.v, velocity.w
+
+
+def transform(frame: str, child: str) -> Layout:
+    """tf2_msgs/TFMessage of a stamp and one planar transform."""
+    above, below = _text(frame), _text(child)
+    values = 1, None, None, *above, *below, None, None, 0.0, 0.0, 0.0, None, None
+    return Layout("tf2_msgs/msg/TFMessage", (1, above[0], below[0]), values, _transform)
+
+
+def _transform(stamp_ns: int, T: SE2) -> Row:
+    return *divmod(stamp_ns, 1_000_000_000), *_place(T)
+
+
+def _place(T: SE2) -> Row:
+    x, y, yaw = T.xyt.tolist()
+    return x, y, sin(0.5 * yaw), cos(0.5 * yaw)
 
 
 def transforms(stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]) -> bytes:
@@ -116,22 +192,29 @@ def transforms(stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float
     return _bytes("tf2_msgs/msg/TFMessage", lengths, *values)
 
 
-def joint_state(frame: str, names: Sequence[str], joints: Joints) -> bytes:
-    """sensor_msgs/JointState."""
-    place, texts, n = _text(frame), [_text(name) for name in names], len(joints.position)
-    state = n, _WHEELS.pack(*joints.position), n, _WHEELS.pack(*joints.velocity), 0, b""
-    lengths = place[0], len(texts), *(size for size, _ in texts), n, n, 0
-    header = *_stamp(joints.stamp_ns), *place
-    return _bytes("sensor_msgs/msg/JointState", lengths, *header, len(texts), *chain(*texts), *state)
+def joint_state(frame: str, names: Sequence[str]) -> Layout:
+    """sensor_msgs/JointState of two wheels."""
+    place, texts = _text(frame), [_text(name) for name in names]
+    lengths = place[0], len(texts), *(size for size, _ in texts), 2, 2, 0
+    values = None, None, *place, len(texts), *chain(*texts), 2, None, 2, None, 0, b""
+    return Layout("sensor_msgs/msg/JointState", lengths, values, _joints)
 
 
-def imu(frame: str, sample: Imu, gyro_covariance: Array, acceleration_covariance: Array) -> bytes:
+def _joints(joints: Joints) -> Row:
+    return *divmod(joints.stamp_ns, 1_000_000_000), *joints.position, *joints.velocity
+
+
+def imu(frame: str, gyro_covariance: Array, acceleration_covariance: Array) -> Layout:
     """sensor_msgs/Imu without orientation; covariances (9,)."""
-    place = _text(frame)
-    turning = *sample.angular_velocity.tolist(), gyro_covariance.tobytes()
-    force = *sample.linear_acceleration.tolist(), acceleration_covariance.tobytes()
-    values = *_stamp(sample.stamp_ns), *place, *_UNKNOWN_ORIENTATION, *turning, *force
-    return _bytes("sensor_msgs/msg/Imu", place[:1], *values)
+    place, three = _text(frame), (None, None, None)
+    measured = *three, gyro_covariance.tobytes(), *three, acceleration_covariance.tobytes()
+    values = None, None, *place, *_UNKNOWN_ORIENTATION, *measured
+    return Layout("sensor_msgs/msg/Imu", place[:1], values, _imu)
+
+
+def _imu(sample: Imu) -> Row:
+    turning, force = sample.angular_velocity.tolist(), sample.linear_acceleration.tolist()
+    return *divmod(sample.stamp_ns, 1_000_000_000), *turning, *force
 
 
 def laser_scan(frame: str, scan: Scan) -> bytes:
@@ -145,9 +228,13 @@ def laser_scan(frame: str, scan: Scan) -> bytes:
     return _bytes("sensor_msgs/msg/LaserScan", lengths, *header, *angles, *limits, *beams)
 
 
-def twist(velocity: Twist) -> bytes:
+def twist() -> Layout:
     """geometry_msgs/Twist."""
-    return _bytes("geometry_msgs/msg/Twist", (), *_velocity(velocity))
+    return Layout("geometry_msgs/msg/Twist", (), _MOVING, _twist)
+
+
+def _twist(velocity: Twist) -> Row:
+    return velocity.v, velocity.w
 
 
 def string(text: str) -> bytes:

@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from turtlebag.datasets.bags import decode
+from turtlebag.datasets.bags.columns import POSES, SAMPLES, Columns
 from turtlebag.datasets.bags.frames import FrameTree
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
 from turtlebag.datasets.bags.stamps import check_order
@@ -50,7 +51,7 @@ class OdometryColumns:
     xyt: Array
     twists: Array
     child: str
-    links: Counter[tuple[str, str]]
+    links: Counter[tuple[str, ...]]
 
 
 class Contents:
@@ -70,8 +71,8 @@ class Contents:
     ) -> None:
         self.bag = bag
         self.scans: dict[str, Timed[decode.RawScan]] = {}
-        self.odometry: dict[str, Raw] = {}
-        self.imu: dict[str, Raw] = {}
+        self.odometry: dict[str, Columns] = {}
+        self.imu: dict[str, Columns] = {}
         self.others: dict[str, Raw] = {}
         self.frames = FrameTree()
         self.types: dict[str, dict[str, Topic]] = {}
@@ -79,7 +80,6 @@ class Contents:
         self._everything = everything
         self._note_cloud = note_cloud
         self._damaged: dict[str, Finding] = {}
-        self._odometry: dict[str, OdometryColumns] = {}
         self._moving: dict[str, Raw] = {}
         raw_scans: dict[str, Raw] = {}
         static: dict[str, Raw] = {}
@@ -90,9 +90,13 @@ class Contents:
             elif topic.msgtype == SCAN:
                 raw_scans.setdefault(topic.name, []).append(raw)
             elif topic.msgtype == ODOMETRY:
-                self.odometry.setdefault(topic.name, []).append(raw)
+                if topic.name not in self.odometry:
+                    self.odometry[topic.name] = Columns(POSES[ODOMETRY], bag.cursor)
+                self.odometry[topic.name].add(*raw)
             elif topic.msgtype == IMU:
-                self.imu.setdefault(topic.name, []).append(raw)
+                if topic.name not in self.imu:
+                    self.imu[topic.name] = Columns(SAMPLES, bag.cursor)
+                self.imu[topic.name].add(*raw)
             elif topic.msgtype == CLOUD and note_cloud is not None:
                 note_cloud(topic.name, log_time, data)
             elif topic.msgtype in TRANSFORMS:
@@ -129,43 +133,34 @@ class Contents:
 
     def read_odometry(self, name: str) -> OdometryColumns:
         """Decoded poses of an odometry topic."""
-        if name not in self._odometry:
-            self._odometry[name] = self._columns(self._decoded(name, self.odometry[name], decode.odometry))
-        return self._odometry[name]
-
-    @staticmethod
-    def _columns(poses: Timed[decode.RawPose]) -> OdometryColumns:
-        links = Counter((pose.frame, pose.child) for _, pose in poses)
+        columns = self.odometry[name]
+        stamps, times, at, numbers = self._read(name, columns)
+        counts = np.bincount(at, minlength=len(columns.texts)).tolist()
+        links = Counter(dict(zip(columns.texts, counts, strict=True)))
         main = links.most_common(1)[0][0] if links else ("", "")
-        ours = [(time, pose) for time, pose in poses if (pose.frame, pose.child) == main]
-        rows = np.array([(pose.x, pose.y, *pose.quaternion) for _, pose in ours]).reshape(-1, 6)
-        return OdometryColumns(
-            np.array([pose.stamp_ns for _, pose in ours], dtype=np.int64),
-            np.array([time for time, _ in ours], dtype=np.int64),
-            np.column_stack([rows[:, :2], decode.yaws_of(rows[:, 2:])]),
-            np.array([pose.twist for _, pose in ours]).reshape(-1, 3),
-            main[1],
-            links,
-        )
+        ours = np.array([texts == main for texts in columns.texts], dtype=bool)[at]
+        poses = np.column_stack([numbers[:, :2], decode.yaws_of(numbers[:, 2:6])])
+        return OdometryColumns(stamps[ours], times[ours], poses[ours], numbers[ours, 6:], main[1], links)
 
     def read_imu(self, findings: list[Finding]) -> ImuLog | None:
         """Samples of /imu or of the only IMU."""
         name = "/imu" if "/imu" in self.imu else next(iter(self.imu), None)
         if name is None or (name != "/imu" and len(self.imu) > 1):
             return None
-        timed = self.imu_samples(name)
-        samples = [sample for _, sample in timed]
-        stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
-        findings += check_order(name, stamps, np.array([time for time, _ in timed], dtype=np.int64))
-        return ImuLog(
-            stamps,
-            np.array([sample.angular for sample in samples], dtype=np.float64).reshape(-1, 3),
-            np.array([sample.linear for sample in samples], dtype=np.float64).reshape(-1, 3),
-        )
+        stamps, times, _, numbers = self._read(name, self.imu[name])
+        findings += check_order(name, stamps, times)
+        return ImuLog(stamps, numbers[:, :3], numbers[:, 3:])
 
-    def imu_samples(self, name: str) -> Timed[decode.RawImu]:
-        """The intact samples of an IMU with their log times [ns]."""
-        return self._decoded(name, self.imu[name], decode.imu)
+    def imu_times(self, name: str) -> tuple[Stamps, Stamps]:
+        """Stamps and log times [ns] of the intact samples of an IMU."""
+        return self._read(name, self.imu[name])[:2]
+
+    def _read(self, name: str, columns: Columns) -> tuple[Stamps, Stamps, Stamps, Array]:
+        """The arrays of a topic's intact messages; the others become a finding."""
+        arrays = columns.arrays()
+        if columns.damaged:
+            self.note_damaged(name, columns.damaged, len(arrays[0]) + len(columns.damaged))
+        return arrays
 
     def _decoded(self, name: str, raw: Raw, read: Callable[[decode.Cursor], Decoded]) -> Timed[Decoded]:
         """The intact messages of a topic with their log times [ns]; the others become a finding."""

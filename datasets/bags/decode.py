@@ -125,27 +125,6 @@ class RawScan(NamedTuple):
     ranges: NDArray[np.float32]
 
 
-class RawPose(NamedTuple):
-    """A stamped planar pose with its frames; the quaternion is x, y, z, w.
-
-    `twist`: forward and sideways speed [m/s] and yaw rate [rad/s] of the child frame, zeros where the type
-    has none.
-    """
-
-    stamp_ns: int
-    frame: str
-    child: str
-    x: float
-    y: float
-    quaternion: tuple[float, ...]
-    twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @property
-    def yaw(self) -> float:
-        """Yaw [rad]; NaN when it has none."""
-        return yaw_of(self.quaternion)
-
-
 class RawTransform(NamedTuple):
     """A stamped transform: translation and quaternion x, y, z, w."""
 
@@ -155,15 +134,6 @@ class RawTransform(NamedTuple):
     xyz: tuple[float, float, float]
     quaternion: tuple[float, float, float, float]
     log_time_ns: int = 0
-
-
-class RawImu(NamedTuple):
-    """Gyro [rad/s] and specific force [m/s^2]."""
-
-    stamp_ns: int
-    frame: str
-    angular: tuple[float, ...]
-    linear: tuple[float, ...]
 
 
 def yaw_of(quaternion: Sequence[float]) -> float:
@@ -195,23 +165,6 @@ def laser_scan(cursor: Cursor) -> RawScan:
     return RawScan(stamp, frame, geometry, cursor.array("f4", cursor.count(4)))
 
 
-def odometry(cursor: Cursor) -> RawPose:
-    """nav_msgs/Odometry."""
-    stamp, frame = cursor.header()
-    child = cursor.string()
-    values = cursor.take("d", 49)  # pose, its covariance, twist; the twist's covariance follows
-    return RawPose(
-        stamp, frame, child, values[0], values[1], values[3:7], (values[43], values[44], values[48])
-    )
-
-
-def pose_stamped(cursor: Cursor) -> RawPose:
-    """geometry_msgs/PoseStamped and the beginning of PoseWithCovarianceStamped."""
-    stamp, frame = cursor.header()
-    x, y, _, *quaternion = cursor.take("d", 7)
-    return RawPose(stamp, frame, "", x, y, tuple(quaternion))
-
-
 def transforms(cursor: Cursor) -> list[RawTransform]:
     """tf2_msgs/TFMessage."""
     found = []
@@ -221,13 +174,6 @@ def transforms(cursor: Cursor) -> list[RawTransform]:
         values = cursor.take("d", 7)
         found.append(RawTransform(stamp, parent, child, values[:3], values[3:]))
     return found
-
-
-def imu(cursor: Cursor) -> RawImu:
-    """sensor_msgs/Imu."""
-    stamp, frame = cursor.header()
-    values = cursor.take("d", 37)
-    return RawImu(stamp, frame, values[13:16], values[25:28])
 
 
 def twist(cursor: Cursor) -> tuple[float, float]:

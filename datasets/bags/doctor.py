@@ -71,7 +71,7 @@ def _times(contents: Contents) -> Times:
         columns = contents.read_odometry(name)
         times[name] = columns.stamps_ns, columns.log_times_ns
     for name in contents.imu:
-        times[name] = _columns((sample.stamp_ns, time) for time, sample in contents.imu_samples(name))
+        times[name] = contents.imu_times(name)
     for name in contents.others:
         times[name] = contents.read_headers(name)
     return {name: columns for name, columns in times.items() if len(columns[0])}

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from struct import Struct
-from typing import IO, Any, Self, cast
+from typing import Self
 
-import numpy as np
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import Message, MessageIndex
-from mcap.writer import ChunkBuilder, Writer
+from mcap.records import Channel, Schema
 
+from turtlebag.datasets.bags.cdr import Layout, Row
+from turtlebag.datasets.bags.mcap_file import MESSAGE_HEAD_BYTES, McapFile, packed
 from turtlebag.datasets.bags.topics import (
     CUSTOM_RECORD,
     DATA_FILE,
@@ -27,39 +24,6 @@ CHUNK_BYTES = 128 * 1024
 """A chunk is handed to the operating system when its content has this size ..."""
 CHUNK_NS = 1_000_000_000
 """... or spans this time, whichever comes first: so much is lost at the most when the writer is killed."""
-_HEAD, _INDEX_HEAD = Struct("<BQHIQQ"), Struct("<BQHI")
-"""Of a message: opcode, length of the rest, channel, sequence, log time, publish time; of an index: opcode,
-length of the rest, channel, bytes of its rows."""
-_PREFIX = 9
-"""Opcode and length, which no record's length counts."""
-
-
-class _Chunk(ChunkBuilder):
-    """mcap's own chunk, but for messages and their indices, which are packed at once."""
-
-    def add_message(self, message: Message) -> None:
-        """Append one message."""
-        channel, stamp, builder = message.channel_id, message.log_time, self.record_writer
-        index = self.message_indices.get(channel)
-        if index is None:
-            index = self.message_indices[channel] = _Index(channel, [])
-        index.records.append((stamp, builder.count))
-        self.message_start_time = min(self.message_start_time, stamp) if self.num_messages else stamp
-        self.message_end_time = max(self.message_end_time, stamp)
-        self.num_messages += 1
-        length = _HEAD.size - _PREFIX + len(message.data)
-        head = Opcode.MESSAGE, length, channel, message.sequence, stamp, message.publish_time
-        builder.write(_HEAD.pack(*head) + message.data)
-
-
-class _Index(MessageIndex):
-    """mcap's own index of a channel in a chunk, packed at once."""
-
-    def write(self, stream: RecordBuilder) -> None:
-        """Append the record."""
-        rows = np.array(self.records, dtype="<u8").tobytes()
-        head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(rows), self.channel_id, len(rows))
-        stream.write(head + rows)
 
 
 class BagFolder:
@@ -76,14 +40,11 @@ class BagFolder:
             raise InputError(f"{folder}: already holds a bag; choose another folder") from None
         except OSError as error:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-        self._mcap = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_BYTES, enable_data_crcs=True)
-        # the same bytes in a third of the time; an mcap without this attribute writes its own chunks
-        cast(Any, self._mcap)._Writer__chunk_builder = _Chunk()
-        self._mcap.start("ros2", "turtlebag")
+        self._mcap = McapFile(self._file)
         if custom:  # at the beginning, where a crash cannot take it away
-            self._mcap.add_metadata(CUSTOM_RECORD, dict(custom))
+            self._mcap.metadata(CUSTOM_RECORD, custom)
         try:
-            self._mcap.flush()
+            self._file.flush()
         except OSError as error:
             self._file.close()
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
@@ -92,10 +53,19 @@ class BagFolder:
         self._begun = self._file.tell()
         self._topics: list[tuple[str, str, str, str]] = []
         self._counts: list[int] = []
-        self._schemas: dict[tuple[str, str, str], int] = {}
+        self._channels: list[Channel] = []
+        self._schemas: dict[tuple[str, str, str], Schema] = {}
         self._first_ns, self._last_ns = 1 << 64, 0
-        self._flushed_ns: int | None = None
         self._closed = False
+        self._front = b""
+        self._begin_chunk()
+
+    def _begin_chunk(self) -> None:
+        """The chunk under way: heads and data of messages, and the rows of those that are packed later."""
+        self._heads: list[tuple[int, int, int]] = []
+        self._data: list[bytes] = []
+        self._rows: dict[Layout, list[tuple[int, Row]]] = {}
+        self._size = len(self._front)
 
     def __enter__(self) -> Self:
         return self
@@ -125,33 +95,53 @@ class BagFolder:
         """Register a topic with its message definition; returns the channel to write to."""
         key = msgtype, form, text
         if key not in self._schemas:
-            self._schemas[key] = self._mcap.register_schema(msgtype, form, text.encode())
+            schema = Schema(len(self._schemas) + 1, text.encode(), form, msgtype)
+            self._schemas[key] = schema
+            self._front += packed(schema)
         self._topics.append((name, msgtype, qos, type_hash))
         self._counts.append(0)
         metadata = {"offered_qos_profiles": qos, "topic_type_hash": type_hash}
-        return self._mcap.register_channel(name, encoding, self._schemas[key], metadata)
+        channel = Channel(len(self._counts), name, encoding, metadata, self._schemas[key].id)
+        self._channels.append(channel)
+        self._front += packed(channel)
+        return channel.id
 
     def write(self, channel: int, log_time_ns: int, data: bytes) -> None:
         """Append one message; ValueError for a time that the format cannot hold."""
+        self._append(channel, log_time_ns, data, len(data))
+
+    def write_row(self, channel: int, log_time_ns: int, layout: Layout, row: Row) -> None:
+        """Append a message of which only the row is told; it is packed with all others of its layout."""
+        self._rows.setdefault(layout, []).append((len(self._data), row))
+        self._append(channel, log_time_ns, b"", layout.size)
+
+    def _append(self, channel: int, log_time_ns: int, data: bytes, size: int) -> None:
         if not 0 <= log_time_ns < 1 << 64:
             raise ValueError(f"{log_time_ns} ns is not a valid message time")
-        if log_time_ns < self._first_ns:
-            self._first_ns = log_time_ns
-        if log_time_ns > self._last_ns:
-            self._last_ns = log_time_ns
-        if self._flushed_ns is None:
-            self._flushed_ns = log_time_ns
-        self._mcap.add_message(channel, log_time_ns, data, log_time_ns, self._counts[channel - 1])
-        self._counts[channel - 1] += 1
-        if abs(log_time_ns - self._flushed_ns) >= CHUNK_NS:
-            self._mcap.flush()
-            self._flushed_ns = None
-        elif self._file.tell() > self._file.size:
+        self._data.append(data)
+        count = self._counts[channel - 1]
+        self._heads.append((channel, count, log_time_ns))
+        self._counts[channel - 1] = count + 1
+        self._size += MESSAGE_HEAD_BYTES + size
+        if self._size > CHUNK_BYTES or abs(log_time_ns - self._heads[0][2]) >= CHUNK_NS:
+            self._end_chunk()
             self._file.flush()
+
+    def _end_chunk(self) -> None:
+        if not self._heads:
+            return
+        for layout, rows in self._rows.items():
+            for (place, _), message in zip(rows, layout.messages([row for _, row in rows]), strict=True):
+                self._data[place] = message
+        times = [time for _, _, time in self._heads]
+        self._first_ns, self._last_ns = min(self._first_ns, *times), max(self._last_ns, *times)
+        front, heads, data, self._front = self._front, self._heads, self._data, b""
+        self._begin_chunk()
+        self._mcap.chunk(front, heads, data)
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Log times of the first and the last message in time; zeros without messages."""
+        """Log times of the first and the last message in time, once closed; zeros without messages."""
         return (self._first_ns, self._last_ns) if any(self._counts) else (0, 0)
 
     def close(self) -> None:
@@ -161,10 +151,11 @@ class BagFolder:
         self._closed = True
         unfinished = self._folder / (METADATA_FILE + ".tmp")
         try:
-            self._mcap.flush()
+            self._end_chunk()
+            self._file.flush()
             information = bag_metadata(self._topics, self._counts, self.span_ns, self._custom)
-            self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
-            self._mcap.finish()
+            self._mcap.metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
+            self._mcap.finish(list(self._schemas.values()), self._channels, dict(enumerate(self._counts, 1)))
             self._file.flush()
             unfinished.write_text(metadata_text({"rosbag2_bagfile_information": information}))
             unfinished.rename(self._folder / METADATA_FILE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,9 +11,10 @@ from typing import TypeVar
 import numpy as np
 
 from turtlebag.datasets.bags import decode
-from turtlebag.datasets.bags.decode import BadMessage, Cursor
+from turtlebag.datasets.bags.columns import POSES, Columns
+from turtlebag.datasets.bags.decode import BadMessage, Cursor, yaws_of
 from turtlebag.datasets.bags.source import open_bag
-from turtlebag.datasets.bags.topics import Topic
+from turtlebag.datasets.bags.topics import Topic, Wanted
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.findings import lines_of
 from turtlebag.datasets.plurals import listed
@@ -22,11 +23,6 @@ from turtlebag.datasets.types import Stamps, Trajectory
 
 Decoded = TypeVar("Decoded")
 
-_POSES = {
-    "nav_msgs/msg/Odometry": decode.odometry,
-    "geometry_msgs/msg/PoseStamped": decode.pose_stamped,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": decode.pose_stamped,
-}
 _TWISTS = {
     "geometry_msgs/msg/Twist": decode.twist,
     "geometry_msgs/msg/TwistStamped": decode.twist_stamped,
@@ -88,9 +84,16 @@ def read_poses(path: Path, topic: str) -> Trajectory:
 
     Damaged messages are left out. InputError when the topic is not there or of another type.
     """
-    found = [pose for _, pose in _decoded(path, topic, _POSES, "poses")]
-    stamps = np.array([pose.stamp_ns for pose in found], dtype=np.int64)
-    return Trajectory(stamps, SE2.from_array([(pose.x, pose.y, pose.yaw) for pose in found]))
+    bag = open_bag(path)
+    seen: dict[str, str] = {}
+    columns: Columns | None = None
+    for message in bag.messages(_wanted(topic, POSES, seen)):
+        columns = columns or Columns(POSES[message.topic.msgtype], bag.cursor)
+        columns.add(message.log_time_ns, message.data)
+    if columns is None or not len((arrays := columns.arrays())[0]):
+        raise InputError(f"{path}: {_missing(topic, seen, 'poses')}")
+    stamps, _, _, numbers = arrays
+    return Trajectory(stamps, SE2.from_array(np.column_stack([numbers[:, :2], yaws_of(numbers[:, 2:6])])))
 
 
 def read_commands(path: Path) -> tuple[Stamps, Array, Array]:
@@ -136,20 +139,24 @@ def _decoded(
     path: Path, topic: str, decoders: Mapping[str, Callable[[Cursor], Decoded]], needed: str = ""
 ) -> list[tuple[int, Decoded]]:
     """(log time, content) of a topic's intact messages; InputError without one where it is `needed`."""
-    bag = open_bag(path)
+    bag, found = open_bag(path), []
     seen: dict[str, str] = {}
-
-    def wanted(candidate: Topic) -> bool:
-        seen[candidate.name] = candidate.msgtype
-        return candidate.name == topic and candidate.msgtype in decoders
-
-    found = []
-    for message in bag.messages(wanted):
+    for message in bag.messages(_wanted(topic, decoders, seen)):
         with suppress(BadMessage):
             found.append((message.log_time_ns, decoders[message.topic.msgtype](bag.cursor(message.data))))
     if needed and not found:
         raise InputError(f"{path}: {_missing(topic, seen, needed)}")
     return found
+
+
+def _wanted(topic: str, kinds: Collection[str], seen: dict[str, str]) -> Wanted:
+    """Asks for a topic if it is of one of these types, and notes the types of all in `seen`."""
+
+    def wanted(candidate: Topic) -> bool:
+        seen[candidate.name] = candidate.msgtype
+        return candidate.name == topic and candidate.msgtype in kinds
+
+    return wanted
 
 
 def _missing(topic: str, seen: dict[str, str], what: str) -> str:

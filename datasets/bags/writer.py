@@ -18,8 +18,13 @@ from turtlebag.datasets.types import Cloud, Observation, Odometry, Scan, Twist
 Fields = TypeVarTuple("Fields")
 _POSE_COVARIANCE = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
 """Diagonal that the TurtleBot3's odometry publishes: z, roll and pitch are not measured."""
-_WHEELS = ("wheel_left_joint", "wheel_right_joint")
 _GYRO_COVARIANCE, _ACCELERATION_COVARIANCE = 4e-8 * np.eye(3).ravel(), 2.89e-4 * np.eye(3).ravel()
+_IMU = cdr.imu("imu_link", _GYRO_COVARIANCE, _ACCELERATION_COVARIANCE)
+_JOINTS = cdr.joint_state("base_link", ("wheel_left_joint", "wheel_right_joint"))
+_ODOMETRY = cdr.odometry("odom", "base_footprint", _POSE_COVARIANCE)
+_TRUTH = cdr.odometry("world", "base_footprint", cdr.NO_COVARIANCE)
+_ODOM_TO_BASE, _MAP_TO_ODOM = cdr.transform("odom", "base_footprint"), cdr.transform("map", "odom")
+_TWIST = cdr.twist()
 
 
 class BagWriter(BagFolder):
@@ -34,7 +39,7 @@ class BagWriter(BagFolder):
 
     def __init__(self, folder: Path, *, custom: Mapping[str, str], lidars: Iterable[str] = ("",)) -> None:
         super().__init__(folder, custom=custom)
-        self._channels: dict[str, int] = {}
+        self._channel_of: dict[str, int] = {}
         self.lidars = tuple(lidars)
 
     def static_transforms(
@@ -46,29 +51,25 @@ class BagWriter(BagFolder):
     def observation(self, observation: Observation) -> None:
         """/imu, /odom, /tf, /joint_states and, when a sweep was completed, /scan."""
         for sample in observation.imu:
-            covariances = _GYRO_COVARIANCE, _ACCELERATION_COVARIANCE
-            self._write("/imu", sample.stamp_ns, cdr.imu, "imu_link", sample, *covariances)
+            self._write("/imu", sample.stamp_ns, _IMU, sample)
         self.odometry(observation.odometry)
-        joints = observation.joints
-        self._write("/joint_states", joints.stamp_ns, cdr.joint_state, "base_link", _WHEELS, joints)
+        self._write("/joint_states", observation.joints.stamp_ns, _JOINTS, observation.joints)
         if observation.scan is not None:
             self.scan(observation.stamp_ns, observation.scan)
 
     def odometry(self, odometry: Odometry) -> None:
         """/odom and its transform on /tf."""
         stamp, T = odometry.stamp_ns, odometry.T_odom_base
-        fields = "odom", "base_footprint", stamp, T, odometry.twist, _POSE_COVARIANCE
-        self._write("/odom", stamp, cdr.odometry, *fields)
-        self._transform("odom", "base_footprint", stamp, T)
+        self._write("/odom", stamp, _ODOMETRY, stamp, T, odometry.twist)
+        self._write("/tf", stamp, _ODOM_TO_BASE, stamp, T)
 
     def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
         """/ground_truth/odom, in the frame world; never in /tf."""
-        fields = "world", "base_footprint", stamp_ns, T_world_base, twist, cdr.NO_COVARIANCE
-        self._write("/ground_truth/odom", stamp_ns, cdr.odometry, *fields)
+        self._write("/ground_truth/odom", stamp_ns, _TRUTH, stamp_ns, T_world_base, twist)
 
     def command(self, stamp_ns: int, twist: Twist) -> None:
         """/cmd_vel; a Twist has no header, its time is the log time."""
-        self._write("/cmd_vel", stamp_ns, cdr.twist, twist)
+        self._write("/cmd_vel", stamp_ns, _TWIST, twist)
 
     def owner(self, stamp_ns: int, owner: str) -> None:
         """/cmd_vel_owner: the source of the commands from now on."""
@@ -85,7 +86,7 @@ class BagWriter(BagFolder):
 
     def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
         """The localiser's transform, on /tf."""
-        self._transform("map", "odom", stamp_ns, T_map_odom)
+        self._write("/tf", stamp_ns, _MAP_TO_ODOM, stamp_ns, T_map_odom)
 
     def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
         """/particlecloud from a batch of poses (n,)."""
@@ -109,19 +110,18 @@ class BagWriter(BagFolder):
         """/points: a 3D scan in the given lidar frame, its stamp that of the first point."""
         self._write("/points", log_time_ns, cdr.point_cloud, frame, stamp_ns, cloud.points, cloud.times)
 
-    def _transform(self, parent: str, child: str, stamp_ns: int, T: SE2) -> None:
-        x, y, yaw = T.xyt.tolist()
-        self._write("/tf", stamp_ns, cdr.transforms, stamp_ns, [(parent, child, (x, y, 0.0), yaw)])
-
     def _write(
-        self, topic: str, log_time_ns: int, make: Callable[[*Fields], bytes], *fields: *Fields
+        self, topic: str, log_time_ns: int, make: Callable[[*Fields], bytes] | cdr.Layout, *fields: *Fields
     ) -> None:
-        """A message that `make` serialises."""
-        channel = self._channels.get(topic)
+        """A message that `make` serialises, or of a layout."""
+        channel = self._channel_of.get(topic)
         if channel is None:
             kind = TOPICS["/scan" if topic.startswith("/scan") else topic]
             text, type_hash = definition(kind.msgtype)
             qos = metadata_text(kind.qos())
             channel = self.add_topic(topic, kind.msgtype, text, qos=qos, type_hash=type_hash)
-            self._channels[topic] = channel
-        self.write(channel, log_time_ns, make(*fields))
+            self._channel_of[topic] = channel
+        if isinstance(make, cdr.Layout):
+            self.write_row(channel, log_time_ns, make, make.row(*fields))
+        else:
+            self.write(channel, log_time_ns, make(*fields))

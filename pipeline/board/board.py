@@ -198,9 +198,11 @@ def _numbers(campaign: Campaign, rows: Sequence[Row]) -> dict[str, tuple[float |
 
 
 def _over_seeds(values: Sequence[Any], unit: str) -> tuple[float | None, str]:
-    """The median, and the least and the largest; of yes and no how many say yes."""
+    """The only value; of several the median, the least and the largest, of yes and no how many say yes."""
     if not values:
         return None, DASH
+    if len(values) == 1:
+        return float(values[0]), shown(values[0], unit)
     if isinstance(values[0], bool):
         return sum(values) / len(values), f"{sum(values)} of {len(values)}"
     middle, least, largest = median(values), min(values), max(values)

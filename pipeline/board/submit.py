@@ -7,6 +7,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import sha256_file
 from turtlebag.datasets.outputs import Output
@@ -25,10 +27,10 @@ def submit(poses: Path, name: str, out: Output) -> dict[str, Any]:
 
     The input is made again by its request. `same_input` says whether its bag has the stated hash: elsewhere
     than on the machine that made the hashes a drive may differ in its last digits. `covered` is the share of
-    the drive's time that the poses span. InputError for an unknown
-    input and for poses of another recording.
+    the drive's time that the poses span. InputError for an unknown input, for poses of another recording, and
+    where they are less than two or their stamps do not rise.
     """
-    drive, trajectory = find_drive(name), load_tum(poses)
+    drive, trajectory = find_drive(name), _rising(poses)
     with out.staged([poses]) as folder, tempfile.TemporaryDirectory(prefix="turtlebag-") as place:
         record = Path(place, "record")
         run(drive.request, Output(record, command=shlex.split(drive.command)))
@@ -45,6 +47,18 @@ def submit(poses: Path, name: str, out: Output) -> dict[str, Any]:
         extra = {"input_command": drive.command}
         out.finish(folder, "board submit", {"poses": poses}, metrics=metrics, extra=extra)
     return metrics
+
+
+def _rising(poses: Path) -> Trajectory:
+    """Poses that an error can be told of: each stamp once, in order; InputError otherwise."""
+    trajectory = load_tum(poses)
+    if len(trajectory) < 2:
+        raise InputError(f"{poses}: one pose; a trajectory has two or more")
+    if len(back := np.flatnonzero(np.diff(trajectory.stamps_ns) <= 0)):
+        raise InputError(
+            f"{poses}: stamps must rise, but pose {int(back[0]) + 2} is not later than the one before"
+        )
+    return trajectory
 
 
 def _covered(poses: Path, trajectory: Trajectory, truth: Trajectory) -> float:

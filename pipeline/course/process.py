@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -51,6 +52,9 @@ class Pupil:
     cpu_s: float = field(default=0.0, init=False)
     _bytes: int = field(default=0, init=False)
     _late: bool = field(default=False, init=False)
+    _waited_s: float = field(default=0.0, init=False)
+    _asked: float | None = field(default=None, init=False)
+    """When the question was asked that has no answer yet [s]."""
 
     def __enter__(self) -> Pupil:
         theirs_in, ours_out = os.pipe()
@@ -68,11 +72,11 @@ class Pupil:
         os.close(theirs_in)
         os.close(theirs_out)
         self._questions, self._answers = os.fdopen(ours_out, "wb"), os.fdopen(ours_in, "rb")
+        self._pickler = pickle.Pickler(self._questions)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        # Who sleeps uses no CPU time.
-        self._timer = threading.Timer(4.0 * self.limit_s + 20.0, self._stop_late)
-        self._timer.start()
+        self._over = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
         return self
 
     def __exit__(self, *unused: object) -> None:
@@ -91,8 +95,14 @@ class Pupil:
             raise Ended(str(answer.get("fault")))
 
     def new(self, name: str, **given: Any) -> None:
-        """Make an object of the class of that name, in place of the last one."""
-        self._say({"new": name, "given": given})
+        """Make an object of the class of that name, in place of the last one.
+
+        From then on, what it is given again and again, such as a costmap, is sent once.
+        """
+        try:
+            self._say({"new": name, "given": given})
+        finally:
+            self._pickler.clear_memo()
 
     def ask(self, method: str, shape: tuple[int | None, ...] | None, **given: Any) -> Array:
         """Call a method: an array of that shape (None: any length), with finite numbers only.
@@ -113,7 +123,7 @@ class Pupil:
 
     def _say(self, question: dict[str, Any]) -> Any:
         try:
-            pickle.dump(question, self._questions)
+            self._pickler.dump(question)
             self._questions.flush()
         except OSError:
             raise Ended(self._reason()) from None
@@ -123,7 +133,10 @@ class Pupil:
         return answer.get("value")
 
     def _answer(self) -> dict[str, Any]:
+        begin = self._asked = time.monotonic()
         line = self._answers.readline(ANSWER_BYTES)
+        self._asked = None
+        self._waited_s += time.monotonic() - begin
         try:
             answer = json.loads(line)
         except (ValueError, RecursionError):
@@ -148,12 +161,13 @@ class Pupil:
         for pipe in (self._questions, self._answers):
             with suppress(OSError):  # what was still to be said has no reader
                 pipe.close()
+        self._asked = time.monotonic()
         try:
             _, status, used = os.wait4(self._process.pid, 0)
             self._process.returncode = os.waitstatus_to_exitcode(status)
             self.cpu_s = used.ru_utime + used.ru_stime
         finally:
-            self._timer.cancel()
+            self._over.set()
             self._kill()
         self._reader.join(5.0)
 
@@ -161,9 +175,17 @@ class Pupil:
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
 
-    def _stop_late(self) -> None:
-        self._late = True
-        self._kill()
+    def _watch(self) -> None:
+        """End it when its answers take too long, as he who sleeps uses no CPU time; ours between them does
+        not count.
+        """
+        while not self._over.wait(0.5):
+            asked = self._asked
+            waited_s = self._waited_s + (time.monotonic() - asked if asked is not None else 0.0)
+            if waited_s > 4.0 * self.limit_s + 20.0:
+                self._late = True
+                self._kill()
+                return
 
     def _read(self) -> None:
         """Keep the beginning of what it prints; end it when that is too much."""

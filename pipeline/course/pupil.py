@@ -98,8 +98,11 @@ def serve(source: Path, wanted: dict[str, list[str]], questions: Any, answers: A
         return
     say({"ready": True})
     made: dict[str, Any] = {}
+    unpickler = pickle.Unpickler(questions)
     with suppress(EOFError):
-        while asked := pickle.load(questions):
+        while asked := unpickler.load():
+            if "new" in asked:
+                unpickler = pickle.Unpickler(questions)
             try:
                 say({"value": reply(classes, made, wanted, **asked)})
             except BaseException as error:

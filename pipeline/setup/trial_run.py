@@ -60,7 +60,7 @@ def _record_and_map(folder: Path) -> None:
     script = folder / "trial.yaml"
     script.write_text(SCRIPT)
     record(Scene.load(WORLD, ROBOT, 0), str(script), Output(folder / "record"))
-    build_map(MapRequest(source=folder / "record", truth=folder / "record"), Output(folder / "map"))
+    build_map(MapRequest.checked(source=folder / "record", truth=folder / "record"), Output(folder / "map"))
 
 
 def _navigate(folder: Path) -> None:

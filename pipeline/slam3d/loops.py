@@ -21,7 +21,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Loop, firm
 from turtlebag.pipeline.slam.graph.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.graph.pose_graph import optimise
-from turtlebag.pipeline.slam.loops.by_distance import BATCH, LoopConfig, LoopSearch
+from turtlebag.pipeline.slam.loops.by_distance import LoopConfig, LoopSearch, batches
 from turtlebag.pipeline.slam.loops.consistency import agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
@@ -72,8 +72,8 @@ class CloudLoops(LoopSearch):
         super().__init__(se3.planar(T_map_keys), steps, config, part, known)
         self.keys, self.T, self.voxel = keys, T_map_keys.copy(), voxel
         self.places = Places(keys, T_map_keys, voxel)
-        for start in range(0, len(keys), BATCH):
-            self.process(range(start, min(start + BATCH, len(keys))))
+        for batch in batches(len(keys)):
+            self.process(batch)
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.T[n - 1].copy()

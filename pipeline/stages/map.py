@@ -13,7 +13,7 @@ from turtlebag.datasets.maps import save_confidence, save_map
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_covariances, save_tum
-from turtlebag.datasets.types import Recording
+from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
 from turtlebag.pipeline.slam.graph.back_end import make_back_end
@@ -95,7 +95,9 @@ def _mapped(request: MapRequest) -> Mapped:
 
 def _metrics(made: Mapped, references: References) -> Mapping[str, object]:
     known = made.recording.T_odom_base is not None
-    errors = references.errors(made.result.trajectory, made.result.grid, odometry=known)
+    errors = references.errors(
+        made.result.trajectory, made.result.grid, odometry=known, before_loops=made.before_loops
+    )
     with_truth = made.with_truth if "ate_m" in errors else {}
     return {**summary(made.recording, made.result), **made.metrics, **errors, **with_truth}
 
@@ -134,7 +136,17 @@ def map_scans(
 
     parts = {"parts": config.parts()}
     sensors = {**result.session.ranges.as_metrics(), **result.session.setup.as_metrics()}
-    return Mapped(recording, config, result, loop_record(result), write, metrics=sensors, manifest=parts)
+    alone = earlier is None and len(recordings) == 1
+    return Mapped(
+        recording,
+        config,
+        result,
+        loop_record(result),
+        write,
+        metrics=sensors,
+        before_loops=Trajectory(result.trajectory.stamps_ns, result.track.T_track_base) if alone else None,
+        manifest=parts,
+    )
 
 
 def _require_name(named: str | None) -> None:

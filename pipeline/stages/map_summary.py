@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from turtlebag.datasets.findings import metrics_of
 from turtlebag.datasets.plurals import counted
-from turtlebag.datasets.types import Recording, Recording3D
+from turtlebag.datasets.types import Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.sensors.corrected import delay_metrics
 from turtlebag.pipeline.terminal.messages import length, log
 from turtlebag.reports.numbers import lookup
@@ -28,7 +28,8 @@ class Mapped:
     """What the scans or the point clouds of an input came to.
 
     `record` is for graph.json, `write` adds the files that only maps of this kind have; `metrics` too, and
-    `with_truth` where the truth is given. `manifest` are entries for the manifest.
+    `with_truth` where the truth is given. `before_loops` are the poses of the front end alone, where they are
+    of one recording. `manifest` are entries for the manifest.
     """
 
     recording: Recording | Recording3D
@@ -38,6 +39,7 @@ class Mapped:
     write: Callable[[Path], None]
     metrics: Mapping[str, object] = field(default_factory=dict)
     with_truth: Mapping[str, object] = field(default_factory=dict)
+    before_loops: Trajectory | None = None
     manifest: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -18,7 +18,6 @@ from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.stages.requests.program import ProgramRequest
 from turtlebag.reports.metrics.references import References
-from turtlebag.reports.metrics.trajectory import trajectory_metrics
 
 LOG = "program.log"
 """What the program said, in its output folder."""
@@ -48,10 +47,9 @@ def run_program(request: ProgramRequest, out: Output) -> int:
         grid = load_map(_left(folder, request.map)) if request.map else None
         if request.trajectory:
             path = load_tum(_left(folder, request.trajectory))
-            metrics |= {"poses": len(path), **references.errors(path, grid, odometry=False)}
-        if request.odometry and references.truth is not None:
-            drift = trajectory_metrics(load_tum(_left(folder, request.odometry)), references.truth)
-            metrics["front_end"] = {"rpe": drift["rpe"]}
+            drifting = load_tum(_left(folder, request.odometry)) if request.odometry else None
+            errors = references.errors(path, grid, odometry=False, before_loops=drifting)
+            metrics |= {"poses": len(path), **errors}
         out.finish(folder, "program", references.inputs, metrics=metrics)
     return 0
 

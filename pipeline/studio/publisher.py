@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from turtlebag.datasets.bags.cdr import Layout
 from turtlebag.datasets.bags.writer import BagWriter, Fields
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
@@ -37,7 +38,7 @@ class Publisher(BagWriter):
         super().plan(stamp_ns, T_map_base)
 
     def _write(
-        self, topic: str, log_time_ns: int, make: Callable[[*Fields], bytes], *fields: *Fields
+        self, topic: str, log_time_ns: int, make: Callable[[*Fields], bytes] | Layout, *fields: *Fields
     ) -> None:
         if self.bag is not None:
             self.bag._write(topic, log_time_ns, make, *fields)

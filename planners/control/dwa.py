@@ -240,18 +240,43 @@ def best_arc(
     here = footprint_clearance(floor.clearance, floor.resolution, footprint, x, y, yaw)
     # Distance from where no way leads to the goal: longer than any way over the cells.
     base = value_at(floor.to_goal, floor.resolution, x, y, floor.clearance.size * floor.resolution)
-    best_cost, best_v, best_w = np.inf, 0.0, 0.0
-    for v in vs:
-        for w in ws:
-            if abs(v) < c.least_v and abs(w) < c.least_w:
-                continue
-            room, ex, ey, eyaw = along_arc(floor, footprint, edge, pose, v, w, c, here)
-            if room == -np.inf:
-                continue
-            cost = arc_cost(floor, (ex, ey, eyaw), v, room, inscribed, base + 1.0, c)
-            if cost < best_cost:
-                best_cost, best_v, best_w = cost, v, w
-    return best_v, best_w
+    n, far = len(vs) * len(ws), base + 1.0
+    bounds = np.full(n, np.inf)
+    for k in range(n):
+        v, w = vs[k // len(ws)], ws[k % len(ws)]
+        if abs(v) >= c.least_v or abs(w) >= c.least_w:
+            bounds[k] = least_cost(floor, pose, v, w, inscribed, far, c)
+    best_cost, best = np.inf, -1
+    # The most promising ones first: the others need no look at what is around them.
+    for k in np.argsort(bounds):
+        if bounds[k] > best_cost or bounds[k] == np.inf:
+            break
+        v, w = vs[k // len(ws)], ws[k % len(ws)]
+        room, ex, ey, eyaw = along_arc(floor, footprint, edge, pose, v, w, c, here)
+        if room == -np.inf:
+            continue
+        cost = arc_cost(floor, (ex, ey, eyaw), v, room, inscribed, far, c)
+        if cost < best_cost or (cost == best_cost and k < best):
+            best_cost, best = cost, k
+    return (0.0, 0.0) if best < 0 else (vs[best // len(ws)], ws[best % len(ws)])
+
+
+@njit(cache=True)
+def least_cost(
+    floor: ArcFloor,
+    pose: tuple[float, float, float],
+    v: float,
+    w: float,
+    inscribed: float,
+    far: float,
+    c: ArcWeights,
+) -> float:
+    """The cost of an arc where there is all the room in the world, wherever it may have to end."""
+    least, judged = np.inf, round(c.time / STEP_S)
+    for i in range(min(2, judged), judged + 1):
+        end = moved(pose[0], pose[1], pose[2], v, w, i * STEP_S)
+        least = min(least, arc_cost(floor, end, v, np.inf, inscribed, far, c))
+    return least
 
 
 @njit(cache=True)

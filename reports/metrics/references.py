@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypedDict
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -16,10 +17,23 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics
 from turtlebag.reports.metrics.relations import RelationErrors, relations_metrics
-from turtlebag.reports.metrics.trajectory import TrajectoryErrors, associate, fit_rigid, trajectory_metrics
+from turtlebag.reports.metrics.trajectory import (
+    Drift,
+    TrajectoryErrors,
+    associate,
+    fit_rigid,
+    rpe,
+    trajectory_metrics,
+)
 
 APART_M, APART_RAD = 0.1, 0.1
 """Farther from its true pose no estimate begins: the frames differ. No drift is like this in one scan."""
+
+
+class FrontEndErrors(TypedDict):
+    """What a truth says of poses before any loop is closed."""
+
+    rpe: Drift
 
 
 class MapErrors(TrajectoryErrors, RelationErrors, total=False):
@@ -28,6 +42,7 @@ class MapErrors(TrajectoryErrors, RelationErrors, total=False):
 
     map: MapMetrics
     fitted: str
+    front_end: FrontEndErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +80,21 @@ class References:
         return None if truth is None else pose
 
     def errors(
-        self, trajectory: Trajectory, grid: OccupancyGrid | None, *, odometry: bool = True
+        self,
+        trajectory: Trajectory,
+        grid: OccupancyGrid | None,
+        *,
+        odometry: bool = True,
+        before_loops: Trajectory | None = None,
     ) -> MapErrors:
-        """How far a map is off, `odometry`: made with some; InputError for truth or relations of another
-        recording."""
+        """How far a map is off, `odometry`: made with some, and how its poses drifted `before_loops`;
+        InputError for truth or relations of another recording."""
         found: MapErrors = {}
         if self.truth is not None:
             try:
                 found.update(trajectory_metrics(trajectory, self.truth))
+                if before_loops is not None:
+                    found["front_end"] = {"rpe": rpe(before_loops, self.truth)}
             except ValueError as error:
                 raise InputError(f"{self.inputs.get('truth', 'truth')}: {error}") from None
             T_world_map = _frame(trajectory, self.truth)

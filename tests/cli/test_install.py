@@ -44,7 +44,9 @@ sys.executable, sys.argv = '$0', sys.argv[1:]
 runpy.run_path(sys.argv[0], run_name='__main__')" "${{@:2}}";;
   "-m pip config list"*) echo "global.index-url='https://who:secret@mirror.example/simple'";;
   "-m venv "*) mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; touch "$3/pyvenv.cfg"
-    printf '#!/bin/bash\necho "$*" >> {calls}\n[ ! -e {sick} ]' > "$3/bin/turtlebag"
+    mkdir -p "$3"/lib/python3.0/site-packages/{{gtsam,open3d}}/{{Data,used,tests}}
+    touch "$3"/lib/python3.0/site-packages/open3d/open3d_{{tf,torch}}_ops.so
+    printf '#!/bin/bash\necho "$*$PYTHONDONTWRITEBYTECODE" >> {calls}\n[ ! -e {sick} ]' > "$3/bin/turtlebag"
     chmod +x "$3/bin/turtlebag";;
   "-m pip install"*" uv>="*) cp "$0" "$here/bin/uv"
     [ -e {nouv} ] && cat {nouv} && exit 1;;
@@ -168,6 +170,13 @@ def test_uv_that_outlives_a_killed_make_is_waited_for(machine):
     assert (code, complaints) == (0, [])
     assert "another set-up is running in .venv; waiting for it" in said
     assert machine.ready
+
+
+def test_what_packages_bring_and_nothing_reads_is_left_out(machine):
+    assert machine.setup()[0] == 0
+    packages = machine.folder / ".venv/lib/python3.0/site-packages"
+    kept = {path.relative_to(packages).as_posix() for path in packages.glob("*/*")}
+    assert kept == {"gtsam/used", "open3d/Data", "open3d/used"}
 
 
 def test_the_packages_come_from_the_mirror_that_pip_is_set_to(machine):

@@ -5,9 +5,12 @@ import json
 import runpy
 import subprocess
 import sys
+import threading
+import time
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from turtlebag import testing
@@ -25,7 +28,7 @@ from turtlebag.pipeline.course.grade import (
 )
 from turtlebag.pipeline.course.lesson import mark_of, pose_words
 from turtlebag.pipeline.course.page import grade_page
-from turtlebag.pipeline.course.process import Pupil
+from turtlebag.pipeline.course.process import Ended, Fault, Pupil
 
 pytestmark = pytest.mark.slow
 
@@ -235,6 +238,35 @@ def test_lessons_that_do_not_drive_need_no_bullet():
         makes += f"; lesson_of({number}).visible(); print('pybullet' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", makes], capture_output=True, text=True, check=True)
     assert run.stdout == "False\n" * 5
+
+
+def test_a_file_that_sleeps_is_ended_and_time_that_passes_between_questions_is_not_its_own(file, monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    file.write_text(changed(*ODOMETRY, "import time; time.sleep(60 * left); return [0, 0, 0]"))
+    with Pupil(file, lesson_of(1).wanted, 1) as pupil:
+        pupil.begin()
+        pupil.new("WheelOdometry", **first_case(1).case.new)
+        now_s[0] = 1000.0
+        time.sleep(1.0)
+        assert pupil.ask("update", (3,), left=0.0, right=0.0).tolist() == [0.0, 0.0, 0.0]
+        threading.Timer(0.5, lambda: now_s.__setitem__(0, 2000.0)).start()
+        with pytest.raises(Ended, match="it did not end"):
+            pupil.ask("update", (3,), left=1.0, right=0.0)
+
+
+def test_what_is_asked_again_is_sent_once_to_each_object(file):
+    body = "same = left is getattr(self, 'seen', None); self.seen = left; return [same, sum(left), 0]"
+    file.write_text(changed(*ODOMETRY, body))
+    array = np.ones(3)
+    with Pupil(file, lesson_of(1).wanted) as pupil:
+        pupil.begin()
+        for _ in range(2):
+            pupil.new("WheelOdometry", **first_case(1).case.new)
+            answers = [pupil.ask("update", (3,), left=array, right=0.0).tolist() for _ in range(2)]
+            assert answers == [[0.0, 3.0, 0.0], [1.0, 3.0, 0.0]]
+            with pytest.raises(Fault, match="TypeError"):
+                pupil.new("WheelOdometry", nothing=1)
 
 
 def test_another_salt_has_other_hidden_cases_and_the_same_visible_ones():

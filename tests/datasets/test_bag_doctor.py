@@ -166,7 +166,8 @@ def test_a_latched_topic_recorded_as_volatile(tmp_path, topic, durability, volat
 
 def imu(k, lag_s=0.0):
     stamp = k * 10**8 + round(lag_s * 1e9)
-    data = cdr.imu("imu_link", Imu(stamp, np.zeros(3), np.zeros(3)), np.zeros(9), np.zeros(9))
+    layout = cdr.imu("imu_link", np.zeros(9), np.zeros(9))
+    (data,) = layout.messages([layout.row(Imu(stamp, np.zeros(3), np.zeros(3)))])
     return "/imu", IMU, k * 10**8, STORE.deserialize_cdr(data, IMU)
 
 

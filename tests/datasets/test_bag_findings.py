@@ -86,7 +86,8 @@ def unfilled(k):
 
 def imu(k):
     stamp = k * STEP + (k > 20) * 9 * STEP
-    data = cdr.imu("imu_link", Imu(stamp, np.zeros(3), np.zeros(3)), np.zeros(9), np.zeros(9))
+    layout = cdr.imu("imu_link", np.zeros(9), np.zeros(9))
+    (data,) = layout.messages([layout.row(Imu(stamp, np.zeros(3), np.zeros(3)))])
     return "/imu", IMU, stamp, data
 
 

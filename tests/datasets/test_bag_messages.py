@@ -8,6 +8,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests.helpers.foreign_bags import STORE, TYPES, S
 from turtlebag.datasets.bags import cdr, decode
+from turtlebag.datasets.bags.columns import POSES, SAMPLES, Columns
 from turtlebag.datasets.bags.decode import BadMessage, Cursor, Ros1Cursor
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, Joints, LidarSpec, Scan, Twist
@@ -46,12 +47,26 @@ GEOMETRY = (
 )
 
 
+def one_of(layout):
+    """Reads one message as a topic of its own."""
+
+    def read(cursor):
+        columns = Columns(layout, type(cursor))
+        columns.add(0, cursor.data)
+        stamps, _, _, numbers = columns.arrays()
+        if columns.damaged == [0]:
+            raise BadMessage
+        return (*stamps.tolist(), *columns.texts[0], *numbers[0].tolist())
+
+    return read
+
+
 def built(store, rng, frame, child):
     """One message of each type by its name, how it is read, and what that should give."""
     xyz, angular, quaternion, variances = (rng.normal(size=n) for n in (3, 3, 4, 36))
     qx, qy, qz, qw = quaternion
     yaw = math.atan2(2.0 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-    at = (*map(pytest.approx, xyz[:2]), tuple(quaternion))
+    at = (*xyz[:2], *quaternion)
     ranges = rng.random(len(frame) + 3).astype(np.float32)
     geometry = [float(np.float32(v)) for v in rng.random(7)]
     place = pose(store, xyz, quaternion)
@@ -82,11 +97,17 @@ def built(store, rng, frame, child):
         scan,
         (STAMP, ours, tuple(geometry), pytest.approx(ranges)),
     )
-    moving, still = (xyz[0], xyz[1], angular[2]), (0.0, 0.0, 0.0)
-    yield "nav_msgs/Odometry", decode.odometry, drive, (STAMP, ours, below, *at, moving)
-    yield "geometry_msgs/PoseStamped", decode.pose_stamped, {"pose": place}, (STAMP, ours, "", *at, still)
+    moving = xyz[0], xyz[1], angular[2]
+    yield (
+        "nav_msgs/Odometry",
+        one_of(POSES["nav_msgs/msg/Odometry"]),
+        drive,
+        (STAMP, ours, below, *at, *moving),
+    )
+    stamped = one_of(POSES["geometry_msgs/msg/PoseStamped"])
+    yield "geometry_msgs/PoseStamped", stamped, {"pose": place}, (STAMP, ours, *at)
     yield "geometry_msgs/TransformStamped", decode.transforms, link, [linked] * 2
-    yield "sensor_msgs/Imu", decode.imu, sample, (STAMP, ours, tuple(angular), tuple(xyz))
+    yield "sensor_msgs/Imu", one_of(SAMPLES), sample, (STAMP, ours, *angular, *xyz)
     yield "geometry_msgs/Twist", decode.twist, speeds, (xyz[0], angular[2])
     yield "geometry_msgs/TwistStamped", decode.twist_stamped, {"twist": motion}, (xyz[0], angular[2])
     yield "geometry_msgs/PoseArray", decode.pose_array, {"poses": [place, place]}, (STAMP, rows)
@@ -220,18 +241,24 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
         np.testing.assert_array_equal(table[:, :3], points)
         if given is not None:
             np.testing.assert_array_equal(table[:, 3], times)
+
+    def last(layout, name, *fields):
+        """The second of two messages that are packed together."""
+        first, second = layout.messages([layout.row(*fields)] * 2)
+        assert first == second
+        assert layout.size == len(second)
+        return same(second, name)
+
     sample = Imu(STAMP, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]))
-    imu = same(cdr.imu(frame, sample, np.full(9, 0.1), np.full(9, 0.2)), "sensor_msgs/msg/Imu")
+    imu = last(cdr.imu(frame, np.full(9, 0.1), np.full(9, 0.2)), "sensor_msgs/msg/Imu", sample)
     stamped(imu)
     assert imu.orientation_covariance.tolist() == [-1.0] + [0.0] * 8
     assert imu.angular_velocity_covariance.tolist() == [0.1] * 9
     assert imu.linear_acceleration_covariance.tolist() == [0.2] * 9
     assert (imu.orientation.w, imu.orientation.x) == (1.0, 0.0)
     assert (imu.angular_velocity.z, imu.linear_acceleration.x) == (3.0, 4.0)
-    joints = same(
-        cdr.joint_state(frame, ["a", child], Joints(STAMP, (1, 2), (3.0, 4.0))),  # doubles all the same
-        "sensor_msgs/msg/JointState",
-    )
+    wheels = Joints(STAMP, (1, 2), (3.0, 4.0))  # doubles all the same
+    joints = last(cdr.joint_state(frame, ["a", child]), "sensor_msgs/msg/JointState", wheels)
     stamped(joints)
     assert (joints.name, joints.position.tolist(), joints.velocity.tolist()) == (
         ["a", child],
@@ -239,9 +266,8 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
         [3.0, 4.0],
     )
     pose = SE2.from_xyt(1.0, 2.0, 0.5)
-    drive = same(
-        cdr.odometry(frame, child, STAMP, pose, Twist(3.0, 4.0), np.arange(36.0)), "nav_msgs/msg/Odometry"
-    )
+    odometry, about = cdr.odometry(frame, child, np.arange(36.0)), (STAMP, pose, Twist(3.0, 4.0))
+    drive = last(odometry, "nav_msgs/msg/Odometry", *about)
     stamped(drive)
     assert drive.child_frame_id == child
     placed(drive.pose.pose, 1.0, 2.0, 0.5)
@@ -262,6 +288,12 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
     stamped(at)
     placed(at.pose.pose, 1.0, 2.0, 0.5)
     assert at.pose.covariance.sum() == 9.0
+    (link,) = last(cdr.transform(frame, child), "tf2_msgs/msg/TFMessage", STAMP, pose).transforms
+    stamped(link)
+    assert link.child_frame_id == child
+    placed(link.transform, 1.0, 2.0, 0.5)
+    moving = last(cdr.twist(), "geometry_msgs/msg/Twist", Twist(3.0, 4.0))
+    assert (moving.linear.x, moving.angular.z) == (3.0, 4.0)
     goal = same(cdr.pose_stamped(frame, STAMP, pose), "geometry_msgs/msg/PoseStamped")
     stamped(goal)
     placed(goal.pose, 1.0, 2.0, 0.5)

@@ -33,7 +33,6 @@ from turtlebag.datasets.bags.reader import (
 )
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Twist
 
 
 def test_a_bag_is_told_topic_by_topic(tmp_path):
@@ -53,7 +52,8 @@ def test_a_bag_is_told_topic_by_topic(tmp_path):
 
 def test_single_streams_are_read_and_missing_ones_named(tmp_path):
     def twist(v, w):
-        return STORE.deserialize_cdr(cdr.twist(Twist(v, w)), TWIST)
+        (data,) = cdr.twist().messages([(v, w)])
+        return STORE.deserialize_cdr(data, TWIST)
 
     cloud = SE2(np.array([[1.0, 2.0, 0.5], [3.0, 4.0, -0.5]]))
     array = STORE.deserialize_cdr(cdr.pose_array("map", 9 * S, cloud), ARRAY)

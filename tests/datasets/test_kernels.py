@@ -38,8 +38,10 @@ def lower(x):
     return x - STEP
 """
 CALL = """\
-import errno, json, os, sys
+import errno, json, logging, os, sys
 import numba
+if "told" in sys.argv:
+    logging.basicConfig(level=logging.INFO)
 if "full" in sys.argv:
     def full(*_): raise OSError(errno.ENOSPC, "No space left on device")
     os.replace = full
@@ -180,6 +182,12 @@ def test_where_nothing_can_be_written_it_is_said_once_and_the_kernels_run(tree):
     said = "kernels are not kept; set NUMBA_CACHE_DIR to a folder that can be written"
     assert call(tree, "int", "float", said=said) == ([4, 4.0], 0)
     assert not list(tree.rglob("*.nb?"))
+
+
+@pytest.mark.slow
+def test_that_they_are_compiled_is_said_once(tree):
+    assert call(tree, "told", said="note: compiling kernels") == (4.0, 0)
+    assert call(tree, "told") == (4.0, 1)
 
 
 @pytest.mark.slow

@@ -69,5 +69,6 @@ def tf(*transforms):
 
 
 def odometry(stamp_ns, x, frame="odom", child="base_footprint"):
-    data = cdr.odometry(frame, child, stamp_ns, SE2.from_xyt(x, 0.0, 0.0), Twist(), cdr.NO_COVARIANCE)
+    layout = cdr.odometry(frame, child, cdr.NO_COVARIANCE)
+    (data,) = layout.messages([layout.row(stamp_ns, SE2.from_xyt(x, 0.0, 0.0), Twist())])
     return STORE.deserialize_cdr(data, ODOMETRY)

@@ -184,7 +184,8 @@ def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
     weights /= weights.sum()
     poses, rng = np.random.default_rng(9).normal(0.0, 0.14, (900, 3)), np.random.default_rng(10)
     found = Cloud(poses, weights).resampled(config, np.random.default_rng(10))
-    drawn = poses[rng.permutation(resampling.low_variance(weights, 900, rng.random()))]
+    pool = resampling.low_variance(weights, 900, rng.random())
+    drawn = poses[resampling.scattered(pool, rng.random())]
     count = resampling.kld_count(
         resampling.bin_numbers(drawn, resampling.BIN_M, resampling.BIN_RAD), 0.08, 1.5, 60
     )

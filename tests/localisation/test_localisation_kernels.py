@@ -102,6 +102,18 @@ def test_the_comb_picks_what_the_cumulative_weights_say(seed):
     assert resampling.effective_size(np.array([0.5, 0.25, 0.25])) == pytest.approx(1.0 / 0.375)
 
 
+@pytest.mark.parametrize("n", [1, 2, 7, 600, 5000])
+@pytest.mark.parametrize("offset", [0.0, 0.4, 0.9999])
+def test_scattered_values_are_each_there_once_and_neighbours_far_apart(n, offset):
+    found = resampling.scattered(np.arange(n), offset)
+    np.testing.assert_array_equal(np.sort(found), np.arange(n))
+    assert found[0] == int(offset * n)
+    # of any beginning, every tenth of the values has its share, nearly
+    for much in range(0, n, 50) if n >= 600 else ():
+        shares = np.histogram(found[:much], 10, (0, n))[0]
+        assert np.abs(shares - much / 10).max() <= 6.0
+
+
 def test_kld_counts_as_foxs_bound_says_draw_by_draw():
     for bins in (2, 3, 10, 77):
         k, z, err = bins - 1, 2.33, 0.05

@@ -16,9 +16,9 @@ from turtlebag.reports import drawing
 from turtlebag.reports.metric_specs import GOAL_NUMBERS, PICTURE_SOURCES, SECTIONS, SPECS, SYSTEMS, sections
 from turtlebag.reports.metrics.map import MapMetrics
 from turtlebag.reports.metrics.navigation import GoalMetrics, LocalisationErrors, RunMetrics, goal_counts
-from turtlebag.reports.metrics.relations import RelationErrors
+from turtlebag.reports.metrics.references import MapErrors
 from turtlebag.reports.metrics.systems import Numbers, PathErrors
-from turtlebag.reports.metrics.trajectory import RecordingMetrics, TrajectoryErrors
+from turtlebag.reports.metrics.trajectory import RecordingMetrics
 from turtlebag.reports.numbers import UNITS, leaves
 
 
@@ -38,9 +38,7 @@ IN_METRICS = {
         *(path for path, _ in leaves(Size().as_metrics(), "self_check")),
         *(f"loops.{name}" for name in loop_counts([])),
         *(path for path, _ in leaves(RangeCalibration(1.0, 1.0).as_metrics())),
-        *paths(TrajectoryErrors),
-        *paths(RelationErrors),
-        *paths(MapMetrics, "map."),
+        *paths(MapErrors),
     },
     "localise": {*paths(LocalisationErrors), "success", "scans", "updates", "converged.share"},
     "identify": {"scans", "log_s", "observable"},

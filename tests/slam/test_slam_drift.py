@@ -72,6 +72,19 @@ def test_a_loop_ends_the_drift_and_a_break_makes_it_anything():
     assert parted.ways([])(40)[11:] == pytest.approx(drift.ways([])(40)[11:])
 
 
+def test_between_two_loops_a_key_is_as_far_as_the_nearer_of_them_and_the_log_to_it():
+    T = there_and_back()
+    sure = np.diag([1e6, 1e6, 1e6])
+    loops = [Constraint(j, i, (T[j].inverse() @ T[i]).xyt, sure, Kind.LOOP) for j, i in ((2, 30), (5, 36))]
+    drift = drift_of(T.xyt, steps_of(T))
+    ways = drift.ways(loops)
+    for i, tied in ((31, 30), (34, 36), (40, 36)):
+        by_log = drift.along(np.array([i]), np.array([tied]))
+        assert ways(i)[:30] == pytest.approx(ways(tied)[:30] + by_log)
+        since = np.arange(30 if i < 36 else 36, i + 1)
+        assert ways(i)[since] == pytest.approx(drift.along(np.full(len(since), i), since))
+
+
 def place(i: int, j: int, T_j_i: np.ndarray) -> Loop:
     return Loop(i, j, T_j_i, 0.5, 0.8, 0.01, np.diag([0.05**-2, 0.05**-2, 0.02**-2]) * HONEST * 50.0)
 

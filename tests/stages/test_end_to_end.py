@@ -31,15 +31,18 @@ def turtlebag(*words: object) -> int:
 def stages(tmp_path_factory):
     """Folder in which the commands of the tutorial have run as written; what they said is in `said.txt`.
 
-    But verify makes the report alone once more: on a smaller one test_verify has every stage made again. And
-    nothing moves in it: test_report has animations.
+    But verify makes the report alone once more: on a smaller one test_verify has every stage made again.
+    Nothing moves in it: test_report has animations. And the lines for each thing take the short recording.
     """
-    quick = {"turtlebag verify report": "turtlebag verify report --quick"}
-    report = "turtlebag report rec map goal patrol avoid --out report"
-    quick[report] = f"{report} --no-animation"
+    instead = {
+        "verify report": "verify report --quick",
+        "report rec": "report --no-animation rec",
+        "map rec --edits": "map tomorrow --edits",
+        "identify rec": "identify tomorrow",
+    }
     folder = tmp_path_factory.mktemp("tutorial")
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as said:
-        run_page(ROOT / "docs/tutorial.md", folder, patch, quick)
+        run_page(ROOT / "docs/tutorial.md", folder, patch, instead)
     (folder / "said.txt").write_text(said.getvalue())
     return folder
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +57,9 @@ class Drift:
         return total, np.concatenate([[0], np.cumsum(self.broken)])
 
     def ways(self, loops: Sequence[Constraint]) -> Callable[[int], Array]:
-        """The covariance from a given key to every key, along the most certain path through steps and loops,
-        (n, 3, 3)."""
+        """The covariance from a given key to every earlier one, along the most certain path through steps and
+        loops, (n, 3, 3). Between two keys with loops the log is the only way: a key there is as far as the
+        nearer of the two, and as it is from that one by the log. So the search is one for all of them."""
         n = len(self.T_map_keys)
         ends = np.array([(c.i, c.j) for c in loops], dtype=np.int64).reshape(-1, 2)
         whole = np.flatnonzero(~self.broken)
@@ -68,7 +69,23 @@ class Drift:
         # One array layout only, because another would be compiled separately: four seconds during which the
         # robot waits.
         graph = (*_rows(n, edges), covariance, edges, np.ascontiguousarray(self.T_map_keys))
-        return lambda i: _surest(ANYWHERE, *graph, i)
+        _, part = self._since_first
+        tied = np.unique(np.append(np.flatnonzero(np.append(True, self.broken)), ends))
+        search = lru_cache(maxsize=1)(lambda k: _surest(ANYWHERE, *graph, k))
+
+        def from_key(i: int) -> Array:
+            after = int(np.searchsorted(tied, i, side="right"))
+            beside = [k for k in tied[after - 1 : after + 1].tolist() if part[k] == part[i]]
+            nearer = min(beside, key=lambda k: abs(k - i))
+            between = np.arange(beside[0], max(i, nearer) + 1)
+            by_log = self.along(np.full(len(between), i), between)
+            from_there = search(nearer)
+            reached = from_there[:, :1, :1] < ANYWHERE[0, 0]
+            out = np.where(reached, from_there + by_log[nearer - beside[0]], ANYWHERE)
+            out[between] = by_log
+            return out
+
+        return from_key
 
 
 def drift_of(
@@ -110,9 +127,12 @@ def plane_motions(T_map_keys: Array) -> Array:
 
 def read_at(covariance: Array, poses: Array) -> Array:
     """Covariances (..., 3, 3) about the origin as those of poses (..., 3), along the map's axes."""
-    lever = np.zeros((*poses.shape[:-1], 3, 3)) + np.eye(3)
-    lever[..., 0, 2], lever[..., 1, 2] = -poses[..., 1], poses[..., 0]
-    return np.asarray(lever @ covariance @ np.swapaxes(lever, -1, -2))
+    x, y = poses[..., 0, None], poses[..., 1, None]
+    out = np.array(covariance)
+    for half in (out, np.swapaxes(out, -1, -2)):  # the lever's rows, then its columns
+        half[..., 0, :] -= y * half[..., 2, :]
+        half[..., 1, :] += x * half[..., 2, :]
+    return out
 
 
 def reach(covariance: Array) -> tuple[Array, Array]:

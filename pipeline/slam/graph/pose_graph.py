@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +34,6 @@ G2O_ORDER = {"SE2": [0, 1, 2], "SE3:QUAT": [3, 4, 5, 0, 1, 2]}
 class Gtsam:
     """GTSAM's factor graph: a `turtlebag.pipeline.slam.graph.back_end.BackEnd`, and in space too."""
 
-    def __init__(self) -> None:
-        # loop closure solves a graph that has grown a little, again and again
-        self._factors: WeakKeyDictionary[Constraint, Any] = WeakKeyDictionary()
-
     def optimise(self, T_map_keys: Poses, constraints: Sequence[Constraint], iterations: int = 30) -> Poses:
         """Least squares poses (n,) with the first one held; Levenberg-Marquardt."""
         import gtsam  # takes a quarter of a second, and most runs need no graph
@@ -48,30 +43,22 @@ class Gtsam:
         held = gtsam.noiseModel.Diagonal.Sigmas(np.full(kind.dof, HELD))
         graph.add(kind.prior(0, kind.pose(start[0]), held))
         for c in constraints:
-            graph.add(self._factor(c))
+            graph.add(kind.between(c.i, c.j, kind.pose(c.T_i_j), noise_model(c)))
         for k, T in enumerate(start):
             values.insert(k, kind.pose(T))
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setMaxIterations(iterations)
         found = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-        return type(T_map_keys).from_array(np.array([kind.solved(found, k) for k in range(len(start))]))
-
-    def _factor(self, c: Constraint) -> Any:
-        factor = self._factors.get(c)
-        if factor is None:
-            kind = space(c.T_i_j.shape)
-            factor = kind.between(c.i, c.j, kind.pose(c.T_i_j), noise_model(c))
-            self._factors[c] = factor
-        return factor
+        return type(T_map_keys).from_array(kind.solved(found))
 
 
 class Space(NamedTuple):
-    """GTSAM's names for the plane, or for space: degrees of freedom, a pose from an array and back from the
+    """GTSAM's names for the plane, or for space: degrees of freedom, a pose from an array, all poses of the
     solved values, and the factors."""
 
     dof: int
     pose: Callable[[Array], Any]
-    solved: Callable[[Any, int], Any]
+    solved: Callable[[Any], Array]
     prior: Callable[..., Any]
     between: Callable[..., Any]
 
@@ -81,16 +68,15 @@ def space(shape: tuple[int, ...]) -> Space:
     """The plane for poses (3,), space for poses (4, 4)."""
     import gtsam
 
-    def planar(values: Any, k: int) -> tuple[float, float, float]:
-        pose = values.atPose2(k)
-        return pose.x(), pose.y(), pose.theta()
+    def planar(values: Any) -> Array:
+        return np.ascontiguousarray(gtsam.utilities.extractPose2(values))
 
-    def spatial(values: Any, k: int) -> Array:
-        return np.asarray(values.atPose3(k).matrix())
+    def spatial(values: Any) -> Array:
+        return np.array([values.atPose3(k).matrix() for k in range(values.size())])
 
     if shape == (3,):
         factors = gtsam.PriorFactorPose2, gtsam.BetweenFactorPose2
-        return Space(3, lambda xyt: gtsam.Pose2(*xyt), planar, *factors)
+        return Space(3, lambda xyt: gtsam.Pose2(*xyt.tolist()), planar, *factors)
     return Space(6, gtsam.Pose3, spatial, gtsam.PriorFactorPose3, gtsam.BetweenFactorPose3)
 
 

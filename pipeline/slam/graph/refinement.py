@@ -91,10 +91,10 @@ def pair_constraints(
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
     found = match_pairs(clouds, keys, T_map_keys, pairs, limits)
+    good, information = found.possible, match_information(found.information)
     return [
-        Constraint(
-            i, j, found.T_i_j[k], match_information(found.information[k]), Kind.PAIR, Constraint.CAUCHY
+        Constraint(i, j, T_i_j, of_pair, Kind.PAIR, Constraint.CAUCHY)
+        for (i, j), T_i_j, of_pair in zip(
+            pairs[good].tolist(), found.T_i_j[good], information[good], strict=True
         )
-        for k, (i, j) in enumerate(pairs.tolist())
-        if found.possible[k]
     ]

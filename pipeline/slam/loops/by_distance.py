@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -90,22 +91,34 @@ def close_loops(
     known: Sequence[Constraint] = (),
     progress: Progress = no_progress,
 ) -> LoopFinder:
-    """Search along the log, BATCH keys at a time.
+    """Search along the log, batch by batch.
 
     Loops are searched within parts of the log only (`part`, (keys,)): across a break of the track, distance
     says nothing. `known` are loops found otherwise. The returned finder holds the poses with loops closed,
     the loop constraints, and the record of all candidates.
     """
     finder = LoopFinder(scans, T_map_keys, steps, closing, part, known)
-    n = len(scans.keys)
-    for batch in progress(range(-(-n // BATCH)), "closing loops", -(-n // BATCH)):
-        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, n)))
+    parts = batches(len(scans.keys))
+    for k in progress(range(len(parts)), "closing loops", len(parts)):
+        finder.process(parts[k])
     return finder
 
 
-# The graph is optimised after this many keys if they closed loops. With half as many, twice as many or all at
-# once the maps are the same; fewer cost optimisations, more cost wider searches.
-BATCH = 48
+# The graph is optimised after this many keys, or after this share of those before them, if they closed loops.
+# With half as many, twice as many or all at once the maps are the same; fewer cost optimisations, more cost
+# wider searches.
+BATCH, SHARE = 48, 8
+
+
+def batches(n: int) -> list[range]:
+    """n keys in batches that grow with their number: an optimisation of all of them at a time is as long as
+    they are many."""
+    ends = [0]
+    while ends[-1] < n:
+        ends.append(min(ends[-1] + max(BATCH, ends[-1] // SHARE), n))
+    return [range(*both) for both in pairwise(ends)]
+
+
 # A key is searched at this many of the places within its gate, nearest first.
 PLACES = 3
 # Cells of the coarse search [m] and its widest turn [rad]; resolutions of the fine one [m], [rad].
@@ -188,12 +201,13 @@ class LoopSearch(ABC):
         returned = self.path[i] - self.path[:i] > config.min_path_m
         old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))
         old = old[~self.edits.rejects(i, old)]
+        distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
+        within = distance < config.reach_m + 1.0
+        old, distance = old[within], distance[within]
         if len(old) == 0:
             return []
-        covariance = read_at(self.ways(i)[old], self.poses[i])
-        gates, turns = reach(covariance)
+        gates, turns = reach(read_at(self.ways(i)[old], self.poses[i]))
         gates, turns = np.minimum(gates + CELL_M, config.reach_m), np.minimum(turns + TURN_RAD, MOST_TURN_RAD)
-        distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
         found: list[tuple[int, float, float]] = []
         near = np.flatnonzero(distance < gates + 1.0)
         for pick in near[np.argsort((distance + gates)[near], kind="stable")].tolist():

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
-from turtlebag.datasets.robust import PER_MEDIAN
+from turtlebag.datasets.robust import PER_MEDIAN, not_negative
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording
 
@@ -77,5 +76,5 @@ def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
             wanted.append(share * variance)
     if not rows:
         return RangeNoise()
-    floor, slope, square = np.sqrt(scipy.optimize.nnls(np.array(rows), np.array(wanted))[0])
+    floor, slope, square = np.sqrt(not_negative(np.array(rows), np.array(wanted)))
     return RangeNoise(max(float(floor), LEAST_M), float(slope), float(square))
