@@ -253,8 +253,8 @@ def own_errors(relations: Relations) -> Array:
     """Errors (n, 3) of relations themselves: how far those of the same three scans do not close, of which
     each has its share; none where there are no three."""
     T: dict[tuple[int, int], SE2] = {}
-    for a, b, T_a_b in zip(relations.stamps_a_ns, relations.stamps_b_ns, relations.T_a_b, strict=True):
-        T[a, b], T[b, a] = T_a_b, T_a_b.inverse()
+    for k, (a, b) in enumerate(zip(relations.stamps_a_ns, relations.stamps_b_ns, strict=True)):
+        T[a, b], T[b, a] = relations.T_a_b[k], relations.T_a_b[k].inverse()
     others = grouped(({"a": a, "b": b} for a, b in T), "a")
     beside = {a: {row["b"] for row in rows} for (a,), rows in others.items()}
     closures = [T[a, b] @ T[b, c] @ T[c, a] for a, b in T if a < b for c in beside[a] & beside[b] if c > b]
