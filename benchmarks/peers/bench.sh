@@ -12,6 +12,6 @@ turtlebag sweep data/benchmarks/peers/slam --query "
   FROM runs w JOIN runs s USING (world, seed, system) WHERE w.part = 'whole' AND s.part = 'start'
   GROUP BY ALL ORDER BY w.world, aligned_mm"
 turtlebag sweep data/benchmarks/peers/sim --query "
-  SELECT w.system, round(60 / median(w.cpu_s - s.cpu_s), 1) AS x_real_time, round(median(s.cpu_s), 2) AS start_cpu_s,
+  SELECT w.system, round(60 / (min(w.cpu_s) - min(s.cpu_s)), 1) AS x_real_time, round(min(s.cpu_s), 2) AS start_cpu_s,
     round(max(w.memory_mb)) AS memory_mb
   FROM runs w JOIN runs s USING (seed, system) WHERE w.seconds = 65 AND s.seconds = 5 GROUP BY ALL ORDER BY w.system"
