@@ -107,11 +107,11 @@ class SE2:
         """`T_b_a` from `T_a_b`."""
         if self.xyt.ndim == 1:
             x, y, yaw = self.xyt.tolist()
-            c, s = math.cos(yaw), math.sin(yaw)
-            return SE2(np.array([-c * x - s * y, s * x - c * y, wrapped(-yaw)]))
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            return SE2(np.array([-cos * x - sin * y, sin * x - cos * y, wrapped(-yaw)]))
         c, s = np.cos(self.xyt[..., 2]), np.sin(self.xyt[..., 2])
-        x, y = self.xyt[..., 0], self.xyt[..., 1]
-        return SE2(_joined(-c * x - s * y, s * x - c * y, wrap(-self.xyt[..., 2])))
+        xs, ys = self.xyt[..., 0], self.xyt[..., 1]
+        return SE2(_joined(-c * xs - s * ys, s * xs - c * ys, wrap(-self.xyt[..., 2])))
 
     @property
     def array(self) -> Array:
