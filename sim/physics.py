@@ -77,7 +77,7 @@ class Physics:
             fixedTimeStep=PERIOD_S / SUBSTEPS,
             numSubSteps=0,
             numSolverIterations=SOLVER_ITERATIONS,
-            # A cone takes longer, and slips twice as much as it would after 200 iterations.
+            # A cone takes longer, and slips up to twice as much as it would after 200 iterations.
             enableConeFriction=0,
             deterministicOverlappingPairs=1,
             physicsClientId=client,
