@@ -69,12 +69,12 @@ def barn(seed: int) -> Row:
     return best(lambda: episode_row(scenario, seed)["time_s"])
 
 
-def campaign(maps: Path) -> Row:
+def campaign(patrols: int, maps: Path) -> Row:
     """Patrols by one worker and by two, and how much sooner two are done."""
     yaml = Maps(maps, "realistic").slam(*PLACES["arena"])
-    patrols = {
+    file = {
         "name": "patrols",
-        "factors": {"seed": {"first": 1, "last": PATROLS + 1}},
+        "factors": {"seed": {"first": 1, "last": patrols + 1}},
         "stages": {
             "navigate": "navigate --world turtlebot3_world --task patrol --initial-pose start "
             f"--map {yaml.absolute()} --seed {{seed}}"
@@ -82,9 +82,7 @@ def campaign(maps: Path) -> Row:
         "results": {"time_s": "navigate:time_s"},
     }
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
-        one, two = (
-            list(sweep.timed(patrols, run_stage, workers, Path(scratch), 1))[-1] for workers in (1, 2)
-        )
+        one, two = (list(sweep.timed(file, run_stage, workers, Path(scratch), 1))[-1] for workers in (1, 2))
     return {"one_s": one["wall_s"], "two_s": two["wall_s"], "speed_up": one["wall_s"] / two["wall_s"]}
 
 
@@ -96,7 +94,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
         "patrol": Suite(every(partial(patrol, maps=maps), controller=("pursuit", "dwa"))),
         "barn": Suite(every(barn, seed=(0,))),
         "amcl": Suite(every(partial(amcl, sensors="realistic"), place=PLACES)),
-        "campaign": Suite(every(campaign, maps=(maps,))),
+        "campaign": Suite(every(partial(campaign, maps=maps), patrols=(PATROLS,))),
     }
 
 
