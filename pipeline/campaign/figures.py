@@ -24,6 +24,8 @@ from turtlebag.reports.stage_titles import slug
 COLUMNS = 3
 WRAP = 32
 """Characters of a label in a line."""
+LEVEL_WORDS = 48
+"""Characters of all levels that find room beside each other in a figure; if there are more, they slant."""
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
@@ -47,19 +49,20 @@ def result_over_factor(rows: Sequence[Row], wish: Wish, label: str, stored: str)
     groups = levels_of(rows, panels) if panels is not None else [None]
     columns = min(len(groups), COLUMNS)
     lanes = -(-len(groups) // columns)
-    figure = new_figure(3.2 if panels is None else 0.6 + 1.5 * lanes)
+    figure = new_figure(3.2 if panels is None else 1.7 + 1.5 * lanes)
     grid = figure.subplots(lanes, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, group in zip(grid, groups, strict=False):
         chosen = [row for row in rows if panels is None or row[panels] == group]
-        _draw_lines(axes, chosen, wish, unit.factor)
+        _draw_lines(axes, chosen, wish, unit.factor, LEVEL_WORDS // columns)
         if group is not None:
             axes.set_title(words(group), fontsize="small")
     for axes in grid[len(groups) :]:
         axes.set_visible(False)
-    values = [row[wish.y] for row in rows]
-    if wish.log and any(isinstance(value, (int, float)) and value > 0.0 for value in values) and not share:
+    positive = [row[wish.y] for row in rows if isinstance(row[wish.y], (int, float)) and row[wish.y] > 0.0]
+    if wish.log and positive and not share:
         grid[0].set_yscale("log")
-        grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        wide = max(positive) > 100.0 * min(positive)
+        grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
         grid[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[0].yaxis.set_minor_formatter(NullFormatter())
     else:
@@ -84,8 +87,8 @@ def words(level: Any) -> str:
     return str(level).replace("_", " ")
 
 
-def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float) -> None:
-    """All lines of one panel."""
+def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float, room: int) -> None:
+    """All lines of one panel, which has room for so many characters of the levels beside each other."""
     share, levels = is_share(rows, wish.y), levels_of(rows, wish.x)
     numeric = all(isinstance(level, (int, float)) and not isinstance(level, bool) for level in levels)
     groups = levels_of(rows, wish.lines) if wish.lines is not None else [None]
@@ -109,10 +112,10 @@ def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float) -> N
                 axes.plot(at, values, ".", color=colour, markersize=4, alpha=0.5, transform=aside, zorder=4)
         _draw_line(axes, found, factor, number, label, "-" if numeric else "none")
     if not numeric:
-        crowded = len(levels) > 6
         names = [words(level) for level in levels]
+        crowded = len(levels) > 6 or sum(map(len, names)) > room
         axes.set_xticks(
-            range(len(levels)), names, rotation=30 if crowded else 0, ha="right" if crowded else "center"
+            range(len(levels)), names, rotation=45 if crowded else 0, ha="right" if crowded else "center"
         )
 
 
