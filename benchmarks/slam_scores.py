@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.known_logs import Known
-from benchmarks.runner import Row
+from benchmarks.runner import Row, grouped
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.stages.map_summary import BAD_M
 from turtlebag.reports.metrics.relations import relations_metrics
@@ -100,3 +100,15 @@ def by(*keys: str) -> Callable[[list[Row]], list[Row]]:
         return [{"of": name, **accuracy(part)} for name, part in parts.items()]
 
     return table
+
+
+def own_errors(relations: Relations) -> Array:
+    """Errors (n, 3) of relations themselves: how far those of the same three scans do not close, of which
+    each has its share; none where there are no three."""
+    T: dict[tuple[int, int], SE2] = {}
+    for k, (a, b) in enumerate(zip(relations.stamps_a_ns, relations.stamps_b_ns, strict=True)):
+        T[a, b], T[b, a] = relations.T_a_b[k], relations.T_a_b[k].inverse()
+    others = grouped(({"a": a, "b": b} for a, b in T), "a")
+    beside = {a: {row["b"] for row in rows} for (a,), rows in others.items()}
+    closures = [T[a, b] @ T[b, c] @ T[c, a] for a, b in T if a < b for c in beside[a] & beside[b] if c > b]
+    return np.array([one.xyt for one in closures] or np.zeros((1, 3))) / np.sqrt(3.0)

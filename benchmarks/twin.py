@@ -22,7 +22,6 @@ from __future__ import annotations
 import tempfile
 from argparse import Namespace
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +29,12 @@ import numpy as np
 import yaml
 from scipy.stats import ks_2samp
 
-from benchmarks.runner import Row, Suite, each, every, grouped, options, parsed, public_log, run, share
+from benchmarks.runner import Row, Suite, each, every, options, parsed, public_log, run, share
+from benchmarks.slam_scores import own_errors
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import Relations, load_relations
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Recording, Trajectory
@@ -249,18 +249,6 @@ def real(log: str) -> Row:
     return {**ratios, "relations": float(np.hypot(*off[:, :2].T).mean())}
 
 
-def own_errors(relations: Relations) -> Array:
-    """Errors (n, 3) of relations themselves: how far those of the same three scans do not close, of which
-    each has its share; none where there are no three."""
-    T: dict[tuple[int, int], SE2] = {}
-    for k, (a, b) in enumerate(zip(relations.stamps_a_ns, relations.stamps_b_ns, strict=True)):
-        T[a, b], T[b, a] = relations.T_a_b[k], relations.T_a_b[k].inverse()
-    others = grouped(({"a": a, "b": b} for a, b in T), "a")
-    beside = {a: {row["b"] for row in rows} for (a,), rows in others.items()}
-    closures = [T[a, b] @ T[b, c] @ T[c, a] for a, b in T if a < b for c in beside[a] & beside[b] if c > b]
-    return np.array([one.xyt for one in closures] or np.zeros((1, 3))) / np.sqrt(3.0)
-
-
 def twin_in(
     folder: Path, recording: Recording, source: Path
 ) -> tuple[SlamResult, Identification, Drive, World]:
@@ -363,20 +351,18 @@ def power(robot: int) -> Row:
 
 def ratios(rows: list[Row]) -> list[Row]:
     """Real, twin and their ratio, a row a log."""
-
-    def text(row: Row, name: str) -> str:
-        return " / ".join(f"{one:.3g}" for one in row.get(name, ()))
-
+    texts = [
+        {name: " / ".join(f"{one:.3g}" for one in row.get(name, ())) for name in SYSTEMS} for row in rows
+    ]
     return [
-        {"log": row["log"], **{name: text(row, name) for name in SYSTEMS}, "relations": row.get("relations")}
-        for row in rows
+        {"log": row["log"]} | text | {"relations": row.get("relations")}
+        for row, text in zip(rows, texts, strict=True)
     ]
 
 
 def passed(rows: list[Row]) -> list[Row]:
     """How many robots' errors cannot be told from those of their twins."""
-    names = ("mapping", "localisation")
-    rows = [row for row in rows if "error" not in row]
+    names, rows = ("mapping", "localisation"), [row for row in rows if "error" not in row]
     alike = sum(all(row[name][2] >= 0.05 for name in names) for row in rows)
     table = [{"robots": "all", "not told apart": share(alike, len(rows))}]
     for row in rows:
@@ -397,7 +383,7 @@ def suites(args: Namespace) -> dict[str, Suite]:
     """All suites."""
     per_place = range(501, 501 + -(-args.robots // len(PLACES)))
     rows = [(place, seed) for seed in per_place for place in PLACES]
-    drives = every(partial(observability), place=("house", "office"), seed=(201, 202), drive=HIDDEN)
+    drives = every(observability, place=("house", "office"), seed=(201, 202), drive=HIDDEN)
     return {
         "coverage": Suite(
             each(coverage, ("place", "seed"), rows), summary=held, quick=3, code=CODE, show=False
