@@ -20,6 +20,7 @@ STEPS = [{"wait": 2.0}, {"random_walk": 9.0}, {"spin": 1.0}, {"spin": -1.0}, {"w
 TRUE = {
     "wheel_scale": 1.02, "turn_scale": 0.96, "turn_per_m": 0.02, "lidar_x": -0.01, "lidar_y": 0.015,
     "command_delay": 0.1, "max_dv": 0.5, "gyro_scale": 1.0, "sigma": 0.006, "lost": 0.05,
+    "known_offset": -0.02, "known_square": 0.004,
 }  # fmt: skip
 
 
@@ -32,7 +33,14 @@ def hidden():
         "turn_per_m": 0.02, "calibration_error": 0.0,
     })  # fmt: skip
     errors = burger.lidar.errors.model_copy(
-        update={"sigma": 0.006, "lost": 0.05, "offset": 0.0, "square": 0.0}
+        update={
+            "sigma": 0.006,
+            "lost": 0.05,
+            "offset": 0.0,
+            "square": 0.0,
+            "known_offset": -0.02,
+            "known_square": 0.004,
+        }
     )
     lidar = burger.lidar.model_copy(update={"pose": (-0.01, 0.015, 0.0), "errors": errors})
     limits = burger.limits.model_copy(
