@@ -91,6 +91,15 @@ def test_the_robot_has_what_was_found_and_the_shape_of_its_base(found):
     assert robot.wheels.calibration_error == 0.0
 
 
+def test_numbers_that_are_known_together_are_drawn_together(found):
+    names = "known_offset", "known_square"
+    rng = np.random.default_rng(3)
+    draws = [found.drawn(rng).lidar.errors for _ in range(300)]
+    common = np.corrcoef([[getattr(one, name) for one in draws] for name in names])[0, 1]
+    assert found.correlations[names] > 0.3
+    assert common == pytest.approx(found.correlations[names], abs=0.15)
+
+
 def test_the_command_writes_a_robot_that_drives(drive, found):
     out = drive / "out"
     assert main(["identify", str(drive / "rec"), "--robot", "burger", "--out", str(out), "-q"]) == 0
