@@ -81,7 +81,7 @@ class Sightings(NamedTuple):
 
     def some(self, which: NDArray[np.bool_]) -> Sightings:
         """Some of them."""
-        return Sightings(*(part[which] for part in self))
+        return Sightings._make(part[which] for part in self)
 
 
 class Fit(NamedTuple):
@@ -136,24 +136,32 @@ def _plot(fit: Fit, applied: Array) -> Plot:
 def wall_fit(session: Session, prior: Array) -> Fit | None:
     """The errors that the session's ranges still have; `prior` are their deviations a priori. None where no
     piece of wall was seen by enough scans."""
-    points, total = points_of(session), np.zeros(2)
-    limits, fit = (session.recording.lidar.range_min, session.recording.lidar.range_max), None
+    points, total, fit = points_of(session), np.zeros(2), None
+    limits = session.recording.lidar.range_min, session.recording.lidar.range_max
     for _ in range(ROUNDS):
-        pieces = pieces_of(points)
-        if len(pieces) == 0:
+        fit = _fit(points, limits, prior)
+        if fit is None:
             return None
-        seen = sightings(points, pieces, limits)
-        for _ in range(2):  # then once more without what is another thing
-            often = np.bincount(seen.piece, minlength=len(pieces))
-            most = np.argsort(-often, kind="stable")[:PIECES]
-            seen = seen.some(np.isin(seen.piece, most[often[most] >= SEEN]))
-            if len(seen.off) == 0:
-                return None
-            fit = solve(seen, prior)
-            off = np.abs(fit.left) * np.sqrt(seen.weight)
-            seen = seen.some(off <= SIGMAS * PER_MEDIAN * float(np.median(off)))
         total, points = total + fit.value, points.corrected(fit.value)
     return fit._replace(value=total) if fit else None
+
+
+def _fit(points: Points, limits: tuple[float, float], prior: Array) -> Fit | None:
+    """The least squares of the points, first of all and then without what is another thing."""
+    pieces, fit = pieces_of(points), None
+    seen = sightings(points, pieces, limits) if len(pieces) else None
+    for _ in range(2):
+        if seen is None:
+            return None
+        often = np.bincount(seen.piece, minlength=len(pieces))
+        most = np.argsort(-often, kind="stable")[:PIECES]
+        seen = seen.some(np.isin(seen.piece, most[often[most] >= SEEN]))
+        if len(seen.off) == 0:
+            return None
+        fit = solve(seen, prior)
+        off = np.abs(fit.left) * np.sqrt(seen.weight)
+        seen = seen.some(off <= SIGMAS * PER_MEDIAN * float(np.median(off)))
+    return fit
 
 
 def points_of(session: Session) -> Points:
@@ -266,6 +274,7 @@ def solve(seen: Sightings, prior: Array) -> Fit:
         left = y - others @ x[at]
         scores[k * PARTS // len(parts), at] += reduced @ left
         residuals.append(free @ left)
-    ours = scores @ inverse[:, -2:]
-    covariance = ours.T @ ours * PARTS / (PARTS - 1.0) + np.diag(MODEL**2)
+    ours, known = scores @ inverse[:, -2:], inverse[-2:, -2:] / prior
+    # parts that show nothing agree: then what is known a priori is all there is
+    covariance = ours.T @ ours * PARTS / (PARTS - 1.0) + known @ known.T + np.diag(MODEL**2)
     return Fit(x[-2:], covariance, seen, np.concatenate(residuals))
