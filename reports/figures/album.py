@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from PIL import Image
 
-from turtlebag.reports.figures.animation import last_frame
 from turtlebag.reports.figures.style import save_pdf, save_png, standalone, styled, svg_text
 
 
@@ -70,17 +70,16 @@ class Album:
         return svg
 
     def add_animation(
-        self, name: str, title: str, caption: str, write: Callable[..., None], *told: Any
+        self, name: str, title: str, caption: str, write: Callable[..., Image.Image], *told: Any
     ) -> None:
-        """Have `write` save `name.gif`, and carry it in the page."""
+        """Have `write` save `name.gif`, and carry it in the page; what it returns is printed instead."""
         name = self.prefix + name
         self.told(title)
         picture = Picture(name, title, caption)
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             path, still = self.folder / f"{name}.gif", io.BytesIO()
-            write(path, *told)
-            last_frame(path).save(still, format="PNG", optimize=True)
+            write(path, *told).save(still, format="PNG")
             gif = data_address("gif", path.read_bytes())
             picture = Picture(name, title, caption, gif=gif, still=data_address("png", still.getvalue()))
         self.pictures.append(picture)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,10 @@ from turtlebag.datasets.runlog import OWNER, RunLog
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory, yaw_difference
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics
-from turtlebag.reports.metrics.seen_area import AreaMetrics, area_metrics
 from turtlebag.reports.metrics.trajectory import Extremes, associate, ate, summary
+
+if TYPE_CHECKING:
+    from turtlebag.reports.metrics.seen_area import AreaMetrics
 
 MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""
@@ -138,6 +140,8 @@ def run_metrics(
         "localisation_error_m": ate(estimate, truth, align=False) if estimate else None,
     }
     if floor is not None:
+        from turtlebag.reports.metrics.seen_area import area_metrics  # a kernel: numba is slow to import
+
         found["area"] = area_metrics(
             floor.true_grid, truth.poses, floor.T_base_lidar, floor.reach, floor.radius
         )
