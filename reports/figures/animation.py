@@ -32,7 +32,7 @@ FINE = 2
 """A picture is drawn so many times as large as it is shown, which smooths its lines."""
 FRAMES, FPS, HOLD = 60, 10, 25
 """The last frame stays for so many more."""
-SCANS = 1000
+SCANS = 600
 """No more than about this many scans are drawn."""
 PATH_POINTS = 2000
 FAN_M = 30.0
@@ -131,7 +131,9 @@ class Screen:
         """
         frames = [self._frame(*draw(k)) for k in np.linspace(0, count - 1, FRAMES).astype(int).tolist()]
         # one palette for all: finding one takes longer than drawing
-        palette = Image.fromarray(np.concatenate([np.asarray(f) for f in frames[:: -FRAMES // 5]])).quantize()
+        palette = Image.fromarray(
+            np.concatenate([np.asarray(f)[::2, ::2] for f in frames[:: -FRAMES // 5]])
+        ).quantize()
         images = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
         ms = [1000 // FPS] * (FRAMES - 1) + [1000 // FPS * (1 + HOLD)]
         images[0].save(path, save_all=True, append_images=images[1:], duration=ms, loop=0)

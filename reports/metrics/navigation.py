@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,8 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import OWNER, RunLog
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory, yaw_difference
-from turtlebag.reports.metrics.map import MapMetrics, map_metrics
+from turtlebag.reports.metrics.map import AreaMetrics, MapMetrics, map_metrics
 from turtlebag.reports.metrics.trajectory import Extremes, associate, ate, summary
-
-if TYPE_CHECKING:
-    from turtlebag.reports.metrics.seen_area import AreaMetrics
 
 MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""
