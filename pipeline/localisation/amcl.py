@@ -247,7 +247,7 @@ class Amcl:
         (place, gain_near), (_, gain_far) = (self._place_of(found, beams) for found in (near, far))
         found, gain = (near, gain_near) if gain_near > gain_far - ALIKE else (far, gain_far)
         if gain <= self.search.agreement(here.xyt, beams) + DIFFERENT:
-            if narrow(place.core) and agree(here, place):
+            if not self.agrees and narrow(place.core) and agree(here, place):
                 self.watch.confirm()
             return None
         self.searches += 1
