@@ -14,7 +14,7 @@ from turtlebag.datasets.motion import way_and_turn
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.identify.estimates import Estimate, Plot
-from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
+from turtlebag.pipeline.slam.graph.partners import overlapping_pairs
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.times.beam_times import SECTORS, believed_s
 from turtlebag.pipeline.slam.times.stretches import usual_period
