@@ -89,7 +89,7 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(caplog):
         client = run(watch())
         gaps = np.diff(client.arrivals[1:])
         assert np.median(gaps) < 0.13
-        assert gaps.max() < 0.5
+        assert gaps.max() < 1.0
         assert 0.8 < client.picture.head["factor"] < 1.2
         # Meanwhile the deaf were not written for, and nothing piled up: after old frames comes the newest.
         kept = []
