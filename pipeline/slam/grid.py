@@ -216,8 +216,10 @@ def beam_lengths(
     for apart in range(stride - stride // 4, stride + stride // 4 + 1):
         padded = np.pad(nothing | far, ((0, 0), (apart, apart)), mode="edge")
         open_space |= nothing & (padded[:, :beams] | padded[:, -beams:])
-    length = np.where(returned, ranges, np.where(far, usable, np.where(open_space, no_return, 0.0)))
-    return length.astype(np.float32), returned
+    length = open_space * np.float32(no_return)
+    length[far] = usable
+    np.copyto(length, ranges, where=returned)
+    return length, returned
 
 
 def classify(counts: Counts, config: OccupancyConfig) -> NDArray[np.int8]:
