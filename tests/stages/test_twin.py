@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 import turtlebag as tb
+from tests.helpers.report_fakes import unrendered
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
@@ -40,7 +41,8 @@ def place(tmp_path_factory):
     (place / "short.yaml").write_text(SCRIPT)
     words = ["--world", "turtlebot3_world", "--teleop", str(place / "short.yaml"), "--seed", "3", "-q"]
     assert main(["record", *words, "--out", str(place / "rec")]) == 0
-    assert main(["twin", str(place / "rec"), "--drives", "1", "-q", "--out", str(place / "out")]) == 0
+    with unrendered():
+        assert main(["twin", str(place / "rec"), "--drives", "1", "-q", "--out", str(place / "out")]) == 0
     return place
 
 
@@ -90,6 +92,7 @@ def test_the_first_of_two_lidars_is_the_twins(tmp_path):
     assert robot.lidar.n_beams == 271
 
 
+@unrendered()
 def test_a_report_shows_robot_and_twin_and_verify_makes_them_again(place, tmp_path, capsys):
     """A changed number is found, too."""
     robot, twin = tmp_path / "robot", tmp_path / "twin"
