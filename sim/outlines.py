@@ -17,6 +17,8 @@ LEAST_EQUAL = 0.995
 """Share of the marked cells, and of the others, that must stay what they are; all others within one cell."""
 SMALLEST = 8
 """Corners and middles of a single cell's outline, which stays what it is."""
+SINGLE = 5
+"""Points of a single cell's contour, whose last one is its first."""
 EIGHT = np.ones((3, 3), dtype=np.bool_)
 
 
@@ -32,15 +34,19 @@ def outlines(marked: Mask) -> list[Array]:
     corner = np.array([cols.min(), rows.min()])
     part = marked[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
     padded = np.pad(part, 1)
-    # A level just below the middle joins cells that touch at a corner.
-    contours = contourpy.contour_generator(z=padded.astype(np.float64), name="serial").lines(0.5 - 1e-6)
     touching = _touching(padded)
-    chains = [_chain(np.round(2.0 * np.asarray(line)[:-1]) / 2.0, touching) for line in contours]
+    chains = [_chain(np.round(2.0 * line[:-1]) / 2.0, touching) for line in _contours(padded)]
     for tolerance in TOLERANCES_CELLS:
         lines = [_simplified(*chain, tolerance) for chain in chains]
         if tolerance == TOLERANCES_CELLS[-1] or _is_equal(filled(lines, padded.shape, 0.0), padded):
             break
     return [line - 0.5 + corner for line in lines]
+
+
+def least_corners(marked: Mask) -> int:
+    """What the outlines of marked cells (rows, cols) have at least, told before they are made straight: four
+    corners round a single cell, three round others."""
+    return sum(4 if len(line) == SINGLE else 3 for line in _contours(np.pad(marked, 1)))
 
 
 def filled(lines: list[Array], shape: tuple[int, int], first: float = 0.5) -> Mask:
@@ -65,6 +71,13 @@ def filled(lines: list[Array], shape: tuple[int, int], first: float = 0.5) -> Ma
 def edges(lines: list[Array]) -> Array:
     """The edges (n, 4) x0, y0, x1, y1 of closed lines (k, 2)."""
     return np.vstack([np.zeros((0, 4)), *(np.hstack([line, np.roll(line, -1, axis=0)]) for line in lines)])
+
+
+def _contours(padded: Mask) -> list[Array]:
+    """Closed lines (n, 2) between marked cells and others, through the middles of the cells' sides; the first
+    point is repeated. A level just below the middle joins cells that touch at a corner."""
+    generator = contourpy.contour_generator(z=padded.astype(np.float64), name="serial")
+    return [np.asarray(line) for line in generator.lines(0.5 - 1e-6)]
 
 
 def _is_equal(found: Mask, wanted: Mask) -> bool:

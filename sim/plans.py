@@ -12,7 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, FREE_TO, OCCUPIED_FROM, OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.sim.outlines import Mask, edges, outlines
+from turtlebag.sim.outlines import Mask, edges, least_corners, outlines
 from turtlebag.sim.shapes import NO_CIRCLES, NO_SEGMENTS, Bools, Mesh, within
 
 WALL_M = 2.0
@@ -73,10 +73,9 @@ def roomiest_place(grid: OccupancyGrid) -> SE2:
 
 def _segments(marked: Mask, grid: OccupancyGrid, path: Path) -> Array:
     """The outlines of marked cells as segments (n, 4) in the world frame; InputError for too many."""
-    lines = outlines(marked)
-    count = sum(map(len, lines))
-    if count > MOST_SEGMENTS:
-        raise InputError(f"{path}: outlines with {count} corners; a world has at most {MOST_SEGMENTS}")
+    lines = outlines(marked) if least_corners(marked) <= MOST_SEGMENTS else None
+    if lines is None or sum(map(len, lines)) > MOST_SEGMENTS:
+        raise InputError(f"{path}: the outlines of its cells have more than {MOST_SEGMENTS} corners")
     return edges([grid.T_map_grid @ (grid.resolution * line) for line in lines])
 
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -39,7 +40,6 @@ def lower(x):
 """
 CALL = """\
 import errno, json, logging, os, sys
-import numba
 if "told" in sys.argv:
     logging.basicConfig(level=logging.INFO)
 if "full" in sys.argv:
@@ -50,6 +50,33 @@ given = [3 if word == "int" else 3.0 for word in sys.argv[1:] if word in ("int",
 found = [twice(x) for x in given]
 hits = sum(twice.stats.cache_hits.values()) if hasattr(twice, "stats") else 0
 print(json.dumps([found, hits, numba.config.CACHE_DIR]))
+"""
+# Most of what a process does that calls its first kernel: done once, and all that call ours are forks of it.
+PARENT = f"""\
+import json, os, sys, traceback
+from contextlib import suppress
+import numba
+numba.njit(lambda x: 2 * x)(1.0)
+for line in sys.stdin:
+    words, environment, folder = json.loads(line)
+    if os.fork() == 0:
+        code = 1
+        for number, name in ((1, "out"), (2, "told")):
+            os.dup2(os.open(os.path.join(folder, name), os.O_WRONLY | os.O_CREAT), number)
+        try:
+            os.environ |= environment
+            numba.config.reload_config()
+            sys.argv[1:], sys.path[:0] = words, [environment["PYTHONPATH"]]
+            exec({CALL!r})
+            sys.stdout.flush()
+            code = 0
+        except BaseException:
+            traceback.print_exc()
+        os.rename(os.path.join(folder, "out"), os.path.join(folder, f"ended-{{code}}"))
+        os._exit(code)
+with suppress(ChildProcessError):
+    while True:
+        os.wait()
 """
 
 
@@ -66,14 +93,24 @@ def tree(tmp_path):
     return tmp_path / "tree"
 
 
-def begun(tree, *words, **environment):
-    given = {**os.environ, "PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(tree / "kept"), **environment}
+@pytest.fixture(scope="module", autouse=True)
+def parent():
     # Python takes its bytecode for that of a source of the same size written within the same second.
-    given["PYTHONDONTWRITEBYTECODE"] = "1"
-    words = [sys.executable, "-c", CALL, *words]
-    return subprocess.Popen(
-        words, env=given, cwd=tree, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    with subprocess.Popen(
+        [sys.executable, "-c", PARENT], env=environment, stdin=subprocess.PIPE, text=True
+    ) as process:
+        begun.parent = process
+        yield
+        process.stdin.close()
+
+
+def begun(tree, *words, **environment):
+    """The folder in which a process leaves what it says."""
+    given = {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(tree / "kept"), **environment}
+    folder = tempfile.mkdtemp(dir=tree)
+    print(json.dumps([words, given, folder]), file=begun.parent.stdin, flush=True)
+    return Path(folder)
 
 
 def call(tree, *words, said="", **environment):
@@ -81,12 +118,16 @@ def call(tree, *words, said="", **environment):
     return ended(begun(tree, *words, **environment), said)[:2]
 
 
-def ended(process, said=""):
-    out, told = process.communicate()
-    assert process.returncode == 0, told
+def ended(folder, said=""):
+    end = time.monotonic() + 60.0
+    while not (out := list(folder.glob("ended-*"))):
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    told = (folder / "told").read_text()
+    assert out[0].name == "ended-0", told
     assert said in told
     assert bool(said) == bool(told)
-    found, hits, numbas = json.loads(out)
+    found, hits, numbas = json.loads(out[0].read_text())
     return found[0] if len(found) == 1 else found, hits, numbas
 
 
@@ -147,11 +188,10 @@ def test_every_kernel_of_ours_is_kept():
 @pytest.mark.slow
 def test_damaged_code_is_compiled_again(tree):
     assert call(tree) == (4.0, 0)
-    for ending in ("nbi", "nbc"):
-        for damage in (lambda c: c[:-1], lambda c: b"x" + c[1:]):
-            (file,) = kernel_files(tree, ending)
-            file.write_bytes(damage(file.read_bytes()))
-            assert call(tree) == (4.0, 0)
+    for ending, damage in (("nbi", lambda c: c[:-1]), ("nbc", lambda c: b"x" + c[1:])):
+        (file,) = kernel_files(tree, ending)
+        file.write_bytes(damage(file.read_bytes()))
+        assert call(tree) == (4.0, 0)
     assert call(tree) == (4.0, 1)
 
 

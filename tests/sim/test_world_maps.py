@@ -237,4 +237,4 @@ def test_what_is_no_world_is_refused_in_a_line(tmp_path):
     refused(tmp_path / "e.yaml", "resolution")
     speckles = np.full((460, 460), FREE, np.int8)
     speckles[::2, ::2] = OCCUPIED
-    refused(saved(tmp_path / "f", speckles), "outlines with 211600 corners; a world has at most 200000")
+    refused(saved(tmp_path / "f", speckles), "the outlines of its cells have more than 200000 corners")

@@ -77,7 +77,7 @@ def test_a_sweep_as_declared_stays_and_is_known_with_a_standard_deviation(turnin
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.0, 0.05, 1.0 / 3.0, 0.5, 1.5, -1.0])
+@pytest.mark.parametrize("share", [0.0, 1.5, -1.0])
 def test_a_wrong_duration_or_direction_of_the_sweep_is_found(turning, share):
     timing = compared_times(swept(turning, share))
     assert timing.late_s == 0.0
@@ -93,7 +93,7 @@ def test_a_wrong_duration_or_direction_of_the_sweep_is_found(turning, share):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", [45, 137, 180, 270])
+@pytest.mark.parametrize("first", [137, 270])
 def test_a_sweep_that_begins_anywhere_in_the_array_is_found(turning, first):
     timing = compared_times(begun(turning, first))
     assert timing.late_s == 0.0

@@ -84,7 +84,7 @@ def test_a_delay_that_is_too_unsure_to_be_undone_is_told_as_it_is(paired, second
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
+@pytest.mark.parametrize("seconds", [0.1, -0.5, 1.0])
 def test_a_delay_is_found_and_undone(turning, seconds):
     recording = late(turning.recording, seconds)
     timing = compared(recording)
@@ -102,7 +102,7 @@ def test_a_delay_is_found_and_undone(turning, seconds):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seconds", [0.4, -0.4, 0.8])
+@pytest.mark.parametrize("seconds", [-0.4, 0.8])
 def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds):
     assert compared(late(paired.recording, seconds))[0] == pytest.approx(seconds, abs=0.06)
 

@@ -32,13 +32,14 @@ def stages(tmp_path_factory):
     """Folder in which the commands of the tutorial have run as written; what they said is in `said.txt`.
 
     But verify makes the report alone once more: on a smaller one test_verify has every stage made again.
-    Nothing moves in it: test_report has animations. And the lines for each thing take the short recording.
+    Nothing moves in it: test_report has animations. The twin and the lines for each thing take short ones.
     """
     instead = {
         "verify report": "verify report --quick",
         "report rec": "report --no-animation rec",
         "map rec --edits": "map tomorrow --edits",
         "identify rec": "identify tomorrow",
+        "twin rec": "twin goal",
     }
     folder = tmp_path_factory.mktemp("tutorial")
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as said:

@@ -60,7 +60,7 @@ def answer(person, data):
 
 
 @pytest.mark.slow
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(steps=st.lists(st.tuples(ASKED, st.integers(0, 40)), min_size=3, max_size=14))
 def test_it_is_driven_again_to_the_same_bytes_whatever_was_asked(true_map, steps):
     with tempfile.TemporaryDirectory() as folder:

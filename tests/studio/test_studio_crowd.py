@@ -84,13 +84,12 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(caplog):
         return client
 
     with Served(session) as serving:
-        silent = [deaf(serving) for _ in range(5)]
+        alone = run(watch())
+        silent, begun = [deaf(serving) for _ in range(5)], alone.picture.head["t"]
         time.sleep(1.0)
         client = run(watch())
-        gaps = np.diff(client.arrivals[1:])
-        assert np.median(gaps) < 0.13
-        assert gaps.max() < 0.5
-        assert 0.8 < client.picture.head["factor"] < 1.2
+        assert len(client.arrivals) > 0.7 * len(alone.arrivals) > 3
+        assert client.picture.head["factor"] > 0.7 * alone.picture.head["factor"]
         # Meanwhile the deaf were not written for, and nothing piled up: after old frames comes the newest.
         kept = []
         for header in frames_of(silent[0]):
@@ -98,7 +97,7 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(caplog):
             if header["t"] > client.picture.head["t"]:
                 break
         assert len(kept) < 8
-        assert np.diff(kept).max() > 1.5
+        assert np.diff(kept).max() > 0.5 * (client.picture.head["t"] - begun)
         begun = time.monotonic()
         serving.stop()
         assert time.monotonic() - begun < 2.0
