@@ -364,7 +364,7 @@ def passed(rows: list[Row]) -> list[Row]:
     """How many robots' errors cannot be told from those of their twins."""
     names, rows = ("mapping", "localisation"), [row for row in rows if "error" not in row]
     alike = sum(all(row[name][2] >= 0.05 for name in names) for row in rows)
-    table = [{"robots": "all", "not told apart": share(alike, len(rows))}]
+    table = [{"robots": "all", "not told apart": share(alike, len(rows))} | dict.fromkeys(names, "")]
     for row in rows:
         texts = {name: "{:.4f} / {:.4f} m, p {:.2g}, delta {:+.2f}".format(*row[name]) for name in names}
         table.append({"robots": row["robot"]} | texts)

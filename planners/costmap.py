@@ -126,39 +126,40 @@ def squared_distance(blocked: Mask) -> NDArray[np.int64]:
     """Squared distance of cells to the nearest blocked one (Meijster, Roerdink, Hesselink 2000), exact;
     without any, a square of more than the grid is long."""
     rows, cols = blocked.shape
-    beside = np.full((rows, cols), rows + cols)  # along the column
-    for r in range(rows):
+    beside = np.empty((rows, cols), dtype=np.int32)  # along the column, all columns of a row at once
+    beside[0] = np.where(blocked[0], 0, rows + cols)
+    for r in range(1, rows):
         for c in range(cols):
-            if blocked[r, c]:
-                beside[r, c] = 0
-            elif r > 0:
-                beside[r, c] = min(beside[r - 1, c] + 1, rows + cols)
+            beside[r, c] = 0 if blocked[r, c] else min(beside[r - 1, c] + 1, rows + cols)
     for r in range(rows - 2, -1, -1):
         for c in range(cols):
             beside[r, c] = min(beside[r, c], beside[r + 1, c] + 1)
     # Along each row the lower envelope of parabolas, one for each cell: which is lowest, and from where on.
-    out, lowest, since = np.empty_like(beside), np.empty(cols, np.int64), np.empty(cols, np.int64)
+    out, lowest, since = np.empty((rows, cols), np.int64), np.empty(cols, np.int64), np.empty(cols, np.int64)
+    height = np.empty(cols, np.int64)
     for r in range(rows):
-        g, k = beside[r], 0
+        for c in range(cols):
+            height[c] = np.int64(beside[r, c]) ** 2 + c * c
+        k = 0
         lowest[0] = since[0] = 0
         for c in range(1, cols):
-            while k >= 0:
-                at, i = since[k], lowest[k]
-                if (at - i) ** 2 + g[i] ** 2 <= (at - c) ** 2 + g[c] ** 2:
-                    break
+            # From `above / apart` on, column c is lower.
+            above, apart = height[c] - height[lowest[k]], 2 * (c - lowest[k])
+            while k >= 0 and above < apart * since[k]:
                 k -= 1
+                if k >= 0:
+                    above, apart = height[c] - height[lowest[k]], 2 * (c - lowest[k])
             if k < 0:
                 k, lowest[0], since[0] = 0, c, 0
-                continue
-            i = lowest[k]
-            at = 1 + (c * c - i * i + g[c] ** 2 - g[i] ** 2) // (2 * (c - i))
-            if at < cols:
+            elif above < apart * (cols - 1):
                 k += 1
-                lowest[k], since[k] = c, at
-        for c in range(cols - 1, -1, -1):
-            out[r, c] = (c - lowest[k]) ** 2 + g[lowest[k]] ** 2
-            if c == since[k]:
-                k -= 1
+                lowest[k], since[k] = c, 1 + above // apart
+        end = cols
+        for part in range(k, -1, -1):
+            i = lowest[part]
+            for c in range(since[part], end):
+                out[r, c] = height[i] + c * (c - 2 * i)
+            end = since[part]
     return out
 
 

@@ -14,6 +14,8 @@ from turtlebag.planners.costmap import Costmap, Mask, distance_field
 
 NEVER = -math.inf
 """Stamp [s] of a cell without a mark."""
+BLOCK = 8
+"""Beams pass blocks of so many cells by so many at once where nothing was hit in them or beside them."""
 REACH_M = 1.2
 """Clearance is updated up to this distance from marked obstacles: larger values are not needed."""
 
@@ -136,25 +138,25 @@ def mark_and_clear(
     map."""
     rows, cols = seen.shape
     x, y, ends, n_hits, obstacle_range, wall_margin = beams
+    near = blocks_near_hits(hits)
     for k in range(len(ends)):
         dx, dy = ends[k, 0] - x, ends[k, 1] - y
         length = math.hypot(dx, dy)
         if length == 0.0:
             continue
-        ux, uy = dx / length, dy / length
+        step_x, step_y = 0.5 * dx / length, 0.5 * dy / length  # in cells
         stop = length - (1.5 * resolution if k < n_hits else 0.0)
-        t, was_col, was_row = -0.5 * resolution, -1, -1
-        while t + 0.5 * resolution < stop:
-            t += 0.5 * resolution
-            col, row = math.floor((x + t * ux) / resolution), math.floor((y + t * uy) / resolution)
-            if col == was_col and row == was_row:
-                continue
-            was_col, was_row = col, row
+        i, steps = 0, math.ceil(2.0 * stop / resolution)
+        while i < steps:
+            col, row = math.floor(x / resolution + i * step_x), math.floor(y / resolution + i * step_y)
+            i += 1
             if 0 <= row < rows and 0 <= col < cols:
-                if seen[row, col] < now_s:
+                if not near[row // BLOCK + 1, col // BLOCK + 1]:
+                    i += 2 * BLOCK - 1
+                elif hits[row, col] > 0 and seen[row, col] < now_s:
                     seen[row, col] = NEVER
                     hits[row, col] = 0
-            elif (ux if col >= cols else -ux if col < 0 else uy if row >= rows else -uy) >= 0.0:
+            elif (step_x if col >= cols else -step_x if col < 0 else step_y if row >= rows else -step_y) >= 0:
                 break  # off the grid, and away from it
     for k in range(n_hits):
         if math.hypot(ends[k, 0] - x, ends[k, 1] - y) > obstacle_range:
@@ -167,13 +169,26 @@ def mark_and_clear(
 
 
 @njit(cache=True)
+def blocks_near_hits(hits: NDArray[np.int16]) -> Mask:
+    """Which blocks hold a hit or are beside one that does; with a block's margin around the grid."""
+    rows, cols = hits.shape
+    near = np.zeros((rows // BLOCK + 3, cols // BLOCK + 3), dtype=np.bool_)
+    for row in range(rows):
+        for col in range(cols):
+            if hits[row, col] > 0:
+                r, c = row // BLOCK, col // BLOCK
+                near[r : r + 3, c : c + 3] = True
+    return near
+
+
+@njit(cache=True)
 def marks(seen: Array, hits: NDArray[np.int16], since_s: float, least: int) -> Mask:
     """Cells that were hit since then, often enough; the hits of others are forgotten."""
     marked = np.zeros(seen.shape, dtype=np.bool_)
     for row in range(seen.shape[0]):
         for col in range(seen.shape[1]):
-            if seen[row, col] > since_s:
-                marked[row, col] = hits[row, col] >= least
-            else:
-                hits[row, col] = 0
+            if hits[row, col] > 0:
+                marked[row, col] = hits[row, col] >= least and seen[row, col] > since_s
+                if seen[row, col] <= since_s:
+                    hits[row, col] = 0
     return marked

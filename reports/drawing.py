@@ -142,7 +142,9 @@ def draw_twin(stage: Stage, group: Group, album: Album) -> None:
 
 def source_recording(stage: Stage, record: Stage | None) -> Recording | None:
     """What a map was made from: its record, or the log itself while that is still there."""
-    for folder in [record.folder] if record is not None else stage.input_paths().values():
+    if record is not None:
+        return if_there(lambda: record.recording)
+    for folder in stage.input_paths().values():
         recording = if_there(load_recording, folder)
         if recording is not None:
             return recording
@@ -227,7 +229,7 @@ def _add_run_animation(
         "on the walls."
     )
     caption += " A goal is blue while pursued, green once reached, orange if missed." if goals else ""
-    recording = if_there(load_recording, stage.folder)
+    recording = if_there(lambda: stage.recording)
     told = world, truth, log.goal_index, goals, recording, scans_at
     album.add_animation("animation", "Animation of the run", caption, animation.write_run, *told)
 

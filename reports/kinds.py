@@ -67,8 +67,8 @@ def verdict(stage: Stage, metrics: Metrics, odometry_m: float | None = None) -> 
 
 
 def stage_metrics(stage: Stage) -> Mapping[str, Any]:
-    """A stage's metrics.json, or for a recording what is computed from its bag."""
+    """A stage's metrics.json, or for a recording what is computed from its bag and its truth."""
     if stage.kind == "record" and stage.truth is not None:
-        return {**stage.metrics, **recording_metrics(stage.driven, stage.odometry, stage.truth)}
+        return {**stage.metrics, **recording_metrics(stage.odometry, stage.truth)}
     goals = stage.metrics.get("goals")
     return {**stage.metrics, **goal_counts(goals)} if goals else stage.metrics

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.bags.source import LOGS, PACKED, SUFFIXES
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -22,11 +21,12 @@ from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.number_text import decimals
 from turtlebag.datasets.other_systems import SystemFiles
 from turtlebag.datasets.outputs import sha256_file, sha256_tree
+from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, stamp_text
 from turtlebag.datasets.true_maps import TrueMap, load_true_map
-from turtlebag.datasets.types import Trajectory
+from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.reports.metric_specs import SPECS
 
@@ -132,14 +132,16 @@ class Stage:
         return self._poses("truth/trajectory.tum")
 
     @cached_property
-    def driven(self) -> Trajectory:
-        """True poses at every step: its bag's /ground_truth/odom; InputError where there is none."""
-        return read_poses(self.folder / "bag", "/ground_truth/odom")
+    def recording(self) -> Recording:
+        """What its bag holds, as mapping reads it; InputError where there is none."""
+        return load_recording(self.folder)
 
-    @cached_property
+    @property
     def odometry(self) -> Trajectory:
         """Where the wheels take it to be: its bag's /odom; InputError where there is none."""
-        return read_poses(self.folder / "bag", "/odom")
+        if (path := self.recording.path) is None:
+            raise InputError(f"{self.folder / 'bag'}: no odometry in it")
+        return path
 
     def _poses(self, name: str) -> Trajectory | None:
         path = self.folder / name

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -48,12 +49,12 @@ class Estimate:
             return self.value / factor, self.value * factor
         return (max(self.value - away, 0.0) if self.positive else self.value - away), self.value + away
 
-    def drawn(self, rng: np.random.Generator) -> float:
-        """A value that may as well be the true one."""
+    def drawn(self, unit: float) -> float:
+        """A value that may as well be the true one, for a draw from a unit Gaussian."""
         if self.why or self.sigma == 0.0:
             return self.value
         low, high = self.interval_95
-        off = self.sigma * float(rng.standard_t(self.freedom) if np.isfinite(self.freedom) else rng.normal())
+        off = self.sigma * float(scipy.stats.t.ppf(scipy.stats.norm.cdf(unit), self.freedom))
         return min(max(self.value + off, low), high)
 
     def as_record(self) -> dict[str, Any]:
@@ -93,10 +94,18 @@ class Plot:
 
 @dataclass
 class Findings:
-    """What one part of the robot's sensors shows: estimates by name, and the plots of their data."""
+    """What one part of the robot's sensors shows: estimates by name, the plots of their data, and how much
+    the errors of two have in common, from -1 to 1."""
 
     estimates: list[Estimate] = field(default_factory=list)
     plots: dict[str, Plot] = field(default_factory=dict)
+    correlations: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    def correlate(self, names: Sequence[str], covariance: Array) -> None:
+        """Take the correlations of numbers with this covariance (n, n)."""
+        for i, j in itertools.combinations(range(len(names)), 2):
+            both = float(covariance[i, i] * covariance[j, j]) ** 0.5
+            self.correlations[names[i], names[j]] = float(covariance[i, j]) / both if both > 0.0 else 0.0
 
 
 def unknown(name: str, value: float, unit: str, equation: str, why: str) -> Estimate:
@@ -105,7 +114,7 @@ def unknown(name: str, value: float, unit: str, equation: str, why: str) -> Esti
 
 
 def jackknife(parts: Array, estimate: Callable[[Array], Array]) -> tuple[Array, Array, int]:
-    """Values (p,), their standard deviations (p,) and degrees of freedom.
+    """Values (p,), their covariance (p, p) and degrees of freedom.
 
     They are what `estimate` makes of sums over the parts (n, ...) of a drive: n times of all but one (Tukey
     1958).
@@ -114,7 +123,7 @@ def jackknife(parts: Array, estimate: Callable[[Array], Array]) -> tuple[Array, 
     n, whole = len(parts), parts.sum(axis=0)
     values = estimate(whole)
     if n < 3:
-        return values, np.full(len(values), np.inf), 1
+        return values, np.diag(np.full(len(values), np.inf)), 1
     others = np.array([estimate(whole - part) for part in parts])
-    spread = (n - 1.0) / n * ((others - others.mean(axis=0)) ** 2).sum(axis=0)
-    return values, np.sqrt(spread), n - 1
+    off = others - others.mean(axis=0)
+    return values, (n - 1.0) / n * off.T @ off, n - 1

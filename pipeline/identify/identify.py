@@ -20,8 +20,9 @@ from turtlebag.pipeline.identify.estimates import Estimate, Findings, Plot, unkn
 from turtlebag.pipeline.identify.lidar import lidar_findings
 from turtlebag.pipeline.identify.motors import Commands, motor_findings
 from turtlebag.pipeline.identify.others import encoder_findings, imu_findings
+from turtlebag.pipeline.identify.ranges import range_findings
 from turtlebag.pipeline.identify.robot_file import robot_of
-from turtlebag.pipeline.identify.setup import by_the_ruler, by_true_turns, range_findings, setup_findings
+from turtlebag.pipeline.identify.setup import by_the_ruler, by_true_turns, setup_findings
 from turtlebag.pipeline.identify.setup_plots import setup_plots
 from turtlebag.pipeline.identify.wheels import gyro_findings, wheel_findings
 from turtlebag.pipeline.slam.graph.edits import Edits
@@ -33,6 +34,8 @@ from turtlebag.sim.robots import RobotSpec
 # A robot that drives and turns less than this [m, rad] does not move.
 LEAST_WAY_M, LEAST_TURN_RAD = 0.5, 0.5
 MESSAGE = "as its messages say"
+# Errors of two numbers that are one and the same leave no matrix to draw from.
+MOST_COMMON = 0.999
 
 
 @dataclass(frozen=True)
@@ -53,13 +56,14 @@ class Streams:
 @dataclass(frozen=True, eq=False)
 class Identification:
     """The estimates of a recording, the plots of their data, the session of its map, and the robot that they
-    were told of: what no bag shows is `base`'s."""
+    were told of: what no bag shows is `base`'s. `correlations` are those of the errors of two estimates."""
 
     recording: Recording
     session: Session
     base: RobotSpec
     estimates: tuple[Estimate, ...]
     plots: Mapping[str, Plot]
+    correlations: Mapping[tuple[str, str], float]
 
     def __getitem__(self, name: str) -> Estimate:
         return next(one for one in self.estimates if one.name == name)
@@ -75,8 +79,14 @@ class Identification:
         return robot_of(self.values, self.recording, self.base)
 
     def drawn(self, rng: np.random.Generator) -> RobotSpec:
-        """A robot whose parameters are drawn from their intervals."""
-        return robot_of({one.name: one.drawn(rng) for one in self.estimates}, self.recording, self.base)
+        """A robot whose parameters are drawn from their intervals, those together that are known together."""
+        row = {one.name: k for k, one in enumerate(self.estimates)}
+        together = np.eye(len(row))
+        for (a, b), value in self.correlations.items():
+            together[row[a], row[b]] = together[row[b], row[a]] = MOST_COMMON * value
+        units = np.linalg.cholesky(together) @ rng.standard_normal(len(row))
+        values = {one.name: one.drawn(unit) for one, unit in zip(self.estimates, units, strict=True)}
+        return robot_of(values, self.recording, self.base)
 
     def as_record(self) -> dict[str, Any]:
         """identify.json."""
@@ -84,7 +94,11 @@ class Identification:
         shape = ("name", "height", "footprint", "parts", "wheels.radius", "wheels.joint_y", "imu.position")
         others = [lidar.topic for lidar in self.recording.others]
         lidar = {"lidar": self.recording.topic, "other_lidars": others} if others else {}
-        return {"base": self.base.name, **lidar, "parameters": of_each, "from_base": list(shape)}
+        common = [[*names, value] for names, value in self.correlations.items()]
+        return {
+            "base": self.base.name, **lidar, "parameters": of_each, "correlations": common,
+            "from_base": list(shape),
+        }  # fmt: skip
 
 
 def identify(
@@ -138,8 +152,9 @@ def identified(
     estimates = [one for part in parts for one in part.estimates]
     plots = {name: plot for part in parts for name, plot in part.plots.items()}
     estimates = by_true_turns(by_the_ruler(_with_stamps(estimates, base), session, base))
+    correlations = {names: value for part in parts for names, value in part.correlations.items()}
     plots = setup_plots(own, session, poses, {one.name: one for one in estimates}) | plots
-    return Identification(recording, session, base, tuple(estimates), plots)
+    return Identification(recording, session, base, tuple(estimates), plots, correlations)
 
 
 def _limits(recording: Recording) -> Findings:

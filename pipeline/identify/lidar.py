@@ -33,7 +33,7 @@ GRAZED, LEAST_GRAZING = 0.1, 0.002
 # Walls are met across at cosines of more than this; directions of beams may be off by this [rad].
 ACROSS, ASIDE_RAD = 0.7, 0.002
 # Not all that looks like a wall is one: by so large a share each number may be wrong for it.
-MODEL, LOST_MODEL = np.array([0.001, 0.005, 0.015]), np.array([0.02, 0.0025])
+MODEL, LOST_MODEL = np.array([0.003, 0.0075, 0.015]), np.array([0.02, 0.0025])
 # The same of the logarithms of both variances of stamps. Delays are uniform, and their variance is known by a
 # smaller variance than that of Gaussian ones, (1.8 - 1) / (3 - 1) by their kurtosis.
 STAMPS_MODEL, STAMPS_SHAPE = np.array([0.12, 0.02]), np.array([1.0, 0.4**0.5])
@@ -147,16 +147,22 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
         found.estimates += [unknown(n, getattr(base, n), u, NOISE_EQUATION, why) for n, u in names.items()]
         return
     sums, columns, slant = _noise_bins(r, tan, off, part)
+    rounded = step**2 / 12.0
 
     def fitted(sums: Array) -> Array:
-        n = np.maximum(sums[1], 1.0)
-        measured = np.maximum(sums[0] / n - step**2 / 12.0, 1e-10)
-        weight = np.sqrt(n) / (measured + step**2 / 12.0)
-        parts, _ = scipy.optimize.nnls(columns * weight[:, None], measured * weight)
+        variance = sums[0] / np.maximum(sums[1], 1.0)
+        expected = np.maximum(variance, 1e-9)
+        for _ in range(3):  # a bin that has little noise by chance does not count more for it
+            weight = np.sqrt(sums[1]) / expected
+            parts, _ = scipy.optimize.nnls(columns * weight[:, None], (variance - rounded) * weight)
+            expected = np.maximum(columns @ parts + rounded, 1e-9)
         return np.sqrt(parts) * TO_FIT
 
-    values, sigmas, freedom = jackknife(sums, fitted)
-    sigmas = np.hypot(sigmas, MODEL * values)
+    values, covariance, freedom = jackknife(sums, fitted)
+    covariance = covariance + np.diag(np.square(MODEL * values))
+    sigmas = np.sqrt(np.diag(covariance))
+    if np.isfinite(sigmas).all():
+        found.correlate([*names], covariance)
     whole = sums.sum(axis=0)
     far = float(np.quantile(r, 0.99))
     for (name, unit), value, sigma in zip(names.items(), values.tolist(), sigmas.tolist(), strict=True):
@@ -172,7 +178,7 @@ def _noise(walls: Walls, part: NDArray[np.int64], step: float, base: LidarErrors
             if why
             else Estimate(name, value, sigma, unit, NOISE_EQUATION, "", freedom, True)
         )
-    _plot_noise(whole, columns, slant, np.sqrt(columns @ np.square(values / TO_FIT) + step**2 / 12.0), found)
+    _plot_noise(whole, columns, slant, np.sqrt(columns @ np.square(values / TO_FIT) + rounded), found)
 
 
 def _noise_bins(r: Array, tan: Array, off: Array, part: NDArray[np.int64]) -> tuple[Array, Array, Array]:
@@ -240,7 +246,8 @@ def _lost(walls: Walls, part: NDArray[np.int64], base: LidarErrors, found: Findi
         ]
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
-    values, sigmas, freedom = jackknife(np.stack([seen, lost], axis=1).astype(float), fitted)
+    values, covariance, freedom = jackknife(np.stack([seen, lost], axis=1).astype(float), fitted)
+    sigmas = np.sqrt(np.diag(covariance))
     whole, gone = seen.sum(axis=0), lost.sum(axis=0)
     # what the counts alone leave open, where no part lost a beam
     sigmas = np.maximum(sigmas, [np.sqrt(max(gone.sum(), 1.0)) / whole.sum(), LEAST_GRAZING])

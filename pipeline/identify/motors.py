@@ -16,9 +16,10 @@ EQUATION = "speed(t + dt) = speed(t) + clip(command(t - delay) - speed(t), +-acc
 # Delays that are tried; below zero, too, for those that look like none.
 DELAY_STEP_S = 0.01
 DELAYS_S = np.arange(-0.1, 0.605, DELAY_STEP_S)
-STEPS = 28
-# An acceleration is known to no better than this share of a step.
-FLOORS = {"max_dv": 0.04, "max_dw": 0.1}
+# Accelerations that are tried, first those from 0.05 to 20 times the usual one and then those up to this
+# factor beside the best; one is known to no better than such a share.
+STEPS, NEAR = 28, 1.5
+FLOORS = {"max_dv": 0.006, "max_dw": 0.008}
 # Commands that change by this share of the largest count as changes; so many are needed.
 CHANGE, ENOUGH = 0.1, 5
 
@@ -39,13 +40,16 @@ def motor_findings(recording: Recording, commands: Commands | None, limits: Limi
         after = usual * np.geomspace(0.05, 20.0, STEPS)
         asked = _asked(commands[0], told, recording, times)
         wanted.append((after, asked))
-        parts.append(_costs(speed, asked, after, dt) / max(float(np.mean(speed**2)), 1e-9))
+        parts.append(_costs(speed, asked, after, dt))
     changes = [_changes(told) for told in commands[1:]]
     _delay(parts, changes, float(np.median(dt)), limits, found)
     best = int(np.argmin(sum(part.sum(axis=0).min(axis=1) for part in parts)))
-    for (name, unit, usual), part, (after, _), often in zip(kinds, parts, wanted, changes, strict=True):
-        floor = FLOORS[name] * np.log(after[1] / after[0])
-        _acceleration(name, unit, usual, part[:, best], after, often, floor, found)
+    for k, (kind, often) in enumerate(zip(kinds, changes, strict=True)):
+        after, asked = wanted[k]
+        rough = parts[k][:, best].sum(axis=0)
+        near = after[np.argmin(rough)] * np.geomspace(1.0 / NEAR, NEAR, STEPS)
+        fine = _lag_costs(speeds[k], asked[best], near, dt)
+        _acceleration(kind, rough[-1], fine, near, often, found)
     which = int(changes[1] > changes[0])
     first = int(np.argmax(np.abs(np.diff(wanted[which][1][best], prepend=0.0)) > 0.0)) if len(dt) else 0
     some = slice(max(first - 30, 0), first + 300)
@@ -84,17 +88,34 @@ def _asked(stamps_ns: Stamps, told: Array, recording: Recording, times: Array) -
 
 def _costs(speed: Array, asked: Array, after: Array, dt: Array) -> Array:
     """Squared differences of the speed (n,) from what each delay and acceleration makes of the commands,
-    summed in each part of the drive, (PARTS, delays, accelerations)."""
-    value = np.zeros((len(asked), len(after)))
-    # the limits of speed are where the robot never goes beyond
-    most = float(np.quantile(np.abs(speed), 0.999)) + 1e-3
-    asked = np.clip(asked, -most, most)
+    summed in each part of the drive, (PARTS, delays, accelerations), over the speed's mean square."""
+    value, asked = np.zeros((len(asked), len(after))), _within_limits(asked, speed)
     out = np.zeros((PARTS, *value.shape))
     for k in range(len(dt)):
         step = after * dt[k]
         value += np.clip(asked[:, k, None] - value, -step, step)
         out[k * PARTS // len(dt)] += (value - speed[k]) ** 2
-    return out
+    return out / max(float(np.mean(speed**2)), 1e-9)
+
+
+def _lag_costs(speed: Array, asked: Array, after: Array, dt: Array) -> Array:
+    """The same (PARTS, accelerations) at one delay, where a share of each step comes a step late, as motors
+    have it: the share that fits best."""
+    model, asked = np.zeros((len(dt) + 1, len(after))), _within_limits(asked, speed)
+    for k in range(len(dt)):
+        model[k + 1] = model[k] + np.clip(asked[k] - model[k], -after * dt[k], after * dt[k])
+    off, back = model[1:] - speed[:, None], model[:-1] - model[1:]
+    share = -(off * back).sum(axis=0) / np.maximum((back**2).sum(axis=0), 1e-12)
+    cost = (off + np.clip(share, 0.0, 1.0) * back) ** 2
+    part = np.arange(len(dt)) * PARTS // len(dt)
+    sums = np.array([cost[part == k].sum(axis=0) for k in range(PARTS)])
+    return sums / max(float(np.mean(speed**2)), 1e-9)
+
+
+def _within_limits(asked: Array, speed: Array) -> Array:
+    """Commands within the limits of speed: what the robot never goes beyond."""
+    most = float(np.quantile(np.abs(speed), 0.999)) + 1e-3
+    return np.clip(asked, -most, most)
 
 
 def _changes(told: Array) -> int:
@@ -109,12 +130,12 @@ def _delay(parts: list[Array], changes: list[int], every_s: float, limits: Limit
         )
         return
     both = parts[0].min(axis=2) + parts[1].min(axis=2)
-    values, sigmas, freedom = jackknife(both, lambda cost: np.array([_middle(cost)[0]]))
+    values, covariance, freedom = jackknife(both, lambda cost: np.array([_middle(cost)[0]]))
     # a step has the command that held at its beginning, though half of it may go by before the next acts
     value = max(float(values[0]) + 0.5 * every_s, 0.0)
     # between two commands or two readings of the speed, any delay is as good
     width = max(_middle(both.sum(axis=0))[1], every_s)
-    sigma = float(np.hypot(sigmas[0], 0.6 * width / 1.96))
+    sigma = float(np.hypot(covariance[0, 0] ** 0.5, 0.6 * width / 1.96))
     found.estimates.append(Estimate("command_delay", value, sigma, "s", EQUATION, "", freedom, True))
 
 
@@ -125,8 +146,12 @@ def _middle(cost: Array) -> tuple[float, float]:
 
 
 def _acceleration(
-    name: str, unit: str, usual: float, part: Array, after: Array, often: int, floor: float, found: Findings
+    kind: tuple[str, str, float], at_once: float, part: Array, after: Array, often: int, found: Findings
 ) -> None:
+    """One of the accelerations by the costs of those `after` which the speed changes, (PARTS, n), and by that
+    of a speed that changes at once."""
+    name, unit, usual = kind
+
     def fitted(cost: Array) -> Array:
         k = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
         a, b, c = cost[k - 1], cost[k], cost[k + 1]
@@ -134,10 +159,9 @@ def _acceleration(
         aside = 0.5 * (a - c) / bend if bend > 0.0 else 0.0
         return np.array([np.log(after[k]) + np.clip(aside, -1.0, 1.0) * np.log(after[1] / after[0])])
 
-    values, sigmas, freedom = jackknife(part, fitted)
-    whole = part.sum(axis=0)
-    limited = whole[-1] > 1.3 * whole.min()
-    sigma = float(np.hypot(sigmas[0], floor))
+    values, covariance, freedom = jackknife(part, fitted)
+    limited = at_once > 1.3 * part.sum(axis=0).min()
+    sigma = float(np.hypot(covariance[0, 0] ** 0.5, FLOORS[name]))
     why = (
         "the commands hardly change" if often < ENOUGH
         else "the speeds follow the commands at once" if not limited

@@ -10,18 +10,16 @@ import numpy as np
 from turtlebag.datasets.motion import way_and_turn
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.identify.estimates import Estimate, Findings, unknown
-from turtlebag.pipeline.slam.sensors.range_calibration import SHARE, TRIANGULATES_M, range_fit
-from turtlebag.pipeline.slam.sensors.setup_estimate import BETTER, LEAST_SIGMA
+from turtlebag.pipeline.slam.sensors.range_calibration import SHARE, TRIANGULATES_M
+from turtlebag.pipeline.slam.sensors.setup_estimate import LEAST_SIGMA
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.times.beam_times import TURN_SHARE
 from turtlebag.sim.robots import RobotSpec
 
-# Late stamps show as a lidar that sits farther ahead or back [m]; offset and square of the ranges are known
-# better than neighbouring points allow for, by these shares; a sweep is wrong by such a share beyond what the
-# turns are: all as the robots of `make bench-twin` have it.
-AHEAD_MODEL_M, RANGES_MODEL, SWEEP_MODEL = 0.001, (0.48, 0.6), 0.006
+# Late stamps show as a lidar that sits farther ahead or back [m]; a sweep is wrong by such a share beyond
+# what the turns are: both as the robots of `make bench-twin` have it.
+AHEAD_MODEL_M, SWEEP_MODEL = 0.001, 0.006
 SETUP_EQUATION = "scans: T_lidar^-1 T_odom(scales) T_lidar, over 1.5 m or a radian (Censi et al. 2013)"
-RANGE_EQUATION = "reading = r + known_offset + known_square r^2, by walls seen from several ranges"
 TIMES_EQUATION = "turns of scans and odometry; the times of the beams at which scans match best"
 BY_TURNS = ("turn_scale", "turn_per_m", "odometry_delay", "gyro_scale", "gyro_bias")
 """What the turns of all scans show better than those of key scans."""
@@ -72,34 +70,6 @@ def setup_findings(recording: Recording, session: Session, base: RobotSpec) -> F
     return found
 
 
-def range_findings(session: Session) -> Findings:
-    """Offset of the ranges, and what grows with their square."""
-    names = (("known_offset", "m"), ("known_square", "1/m"))
-    lidar = session.recording.lidar
-    first = session.recording.lidar_of[session.track.keys] == 0
-    keys = session.track.keys[first]
-    if lidar.range_max > TRIANGULATES_M or len(keys) < 10:
-        why = (
-            "too few key scans"
-            if len(keys) < 10
-            else "a lidar that sees that far measures the time of flight"
-        )
-        return Findings([unknown(name, 0.0, unit, RANGE_EQUATION, why) for name, unit in names])
-    clouds, _ = session.key_scans
-    value, information, prior = range_fit(clouds, keys, session.graph.T_map_keys[first], lidar.range_max)
-    covariance = np.linalg.inv(information + prior)
-    total = value + np.array([session.ranges.offset_m, session.ranges.square_per_m])
-    found = Findings()
-    for k, (name, unit) in enumerate(names):
-        sigma, usual = RANGES_MODEL[k] * float(np.sqrt(covariance[k, k])), float(prior[k, k] ** -0.5)
-        found.estimates.append(
-            Estimate(name, float(total[k]), sigma, unit, RANGE_EQUATION)
-            if BETTER * sigma < usual
-            else unknown(name, 0.0, unit, RANGE_EQUATION, "too few walls were seen from several ranges")
-        )
-    return found
-
-
 def by_the_ruler(estimates: list[Estimate], session: Session, base: RobotSpec) -> list[Estimate]:
     """The estimates with what errors of the ranges, the only ruler, do to the scale of the ways.
 
@@ -111,7 +81,7 @@ def by_the_ruler(estimates: list[Estimate], session: Session, base: RobotSpec) -
     seen = session.recording.ranges[keys]
     usual = float(np.median(seen[session.recording.lidar.returns(seen)])) if len(keys) else 0.0
     left = 2.0 * usual * (square.value - session.ranges.square_per_m) if square.observable else 0.0
-    unsure = 2.0 * usual * square.sigma / RANGES_MODEL[1] if square.observable else 0.0
+    unsure = 2.0 * usual * square.sigma if square.observable else 0.0
     if not square.observable and session.recording.lidar.range_max <= TRIANGULATES_M:
         unsure = 2.0 * usual * SHARE / session.recording.lidar.range_max
     error = float(np.hypot(unsure, base.lidar.errors.scale))

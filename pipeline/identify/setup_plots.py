@@ -1,30 +1,23 @@
-"""Plots of the data behind the set-up: what single stretches of the drive and pairs of scans say."""
+"""Plots of the data behind the set-up: what single stretches of the drive say."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.motion import way_and_turn
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.identify.estimates import Estimate, Plot
-from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.times.beam_times import SECTORS, believed_s
 from turtlebag.pipeline.slam.times.stretches import usual_period
 
 # Straight stretches are this long [m], and straight within this [rad]; turns are of this [rad].
 STRETCH_M, STRAIGHT_RAD, TURN_RAD = 0.75, 0.1, 1.0
-# Pairs of scans that are compared; walls are the same within this [m] and this cosine of their normals.
-PAIRS, SAME_M, SAME_COSINE = 150, 0.1, 0.98
-# Walls whose ranges from two places differ by less [m2] say little; bins of those differences.
-APART_M2, BINS = 0.5, 24
 
 
 def setup_plots(
@@ -38,8 +31,6 @@ def setup_plots(
         plots |= _place(own, T_map_lidar, estimates) | _direction(own, T_map_lidar, estimates)
     if estimates["sweep"].observable and session.recording.times.sectors_s:
         plots |= _sweep(session.recording, estimates)
-    if estimates["known_offset"].observable or estimates["known_square"].observable:
-        plots |= _ranges(session, estimates)
     return plots
 
 
@@ -136,51 +127,3 @@ def _sweep(recording: Recording, estimates: Mapping[str, Estimate]) -> dict[str,
         {"sweep": (beams, 1e3 * fitted)},
     )  # fmt: skip
     return {"sweep": plot}
-
-
-def _ranges(session: Session, estimates: Mapping[str, Estimate]) -> dict[str, Plot]:
-    """How much farther a wall is by the scan that sees it from farther away, by bins."""
-    x, off = _walls_twice(session)
-    x, off = np.abs(x), off * np.sign(x)
-    off = off + session.ranges.square_per_m * x
-    edges = np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)) if len(x) else np.zeros(1)
-    bins = [(x >= low) & (x <= high) for low, high in itertools.pairwise(edges)]
-    middle = np.array([[np.median(x[one]), np.median(off[one])] for one in bins if one.sum() > BINS])
-    middle = middle.reshape(-1, 2)
-    ends = np.array([0.0, float(middle[:, 0].max(initial=1.0))])
-    plot = Plot(
-        ("known_offset", "known_square"), "Errors of the ranges",
-        "Walls seen twice: how much farther by the reading from farther away, medians; line: the square.",
-        "difference of the squared ranges [m^2]", "farther by the longer reading [mm]",
-        {"walls": (middle[:, 0], 1e3 * middle[:, 1])},
-        {"known_square": (ends, 1e3 * estimates["known_square"].value * ends)}
-        if estimates["known_square"].observable
-        else {},
-    )  # fmt: skip
-    return {"ranges": plot}
-
-
-def _walls_twice(session: Session) -> tuple[Array, Array]:
-    """Of walls (m,) that two key scans see from different ranges: how the squares of these differ [m2], and
-    how much farther the wall is by the first than by the second [m]."""
-    (clouds, keys), poses = session.key_scans, session.graph.T_map_keys
-    pairs = overlapping_pairs(poses)
-    found = [(np.zeros(0), np.zeros(0))]
-    for i, j in pairs[:: max(1, len(pairs) // PAIRS)].tolist():
-        a, b = (slice(clouds.starts[keys[k]], clouds.starts[keys[k] + 1]) for k in (i, j))
-        if session.recording.lidar_of[keys[i]] or session.recording.lidar_of[keys[j]] or a.stop == a.start:
-            continue
-        T_a_b = poses[i].inverse() @ poses[j]
-        distance, near = scipy.spatial.cKDTree(clouds.points[a]).query(T_a_b @ clouds.points[b])
-        facing, normals = SE2.from_xyt(0.0, 0.0, T_a_b.yaw), clouds.normals[a][near]
-        turned = facing @ clouds.normals[b].astype(np.float64)
-        same = (distance < SAME_M) & clouds.line_ok[a][near] & clouds.line_ok[b]
-        same &= (normals * turned).sum(axis=1) > SAME_COSINE
-        origin = clouds.origin[0]
-        ranges = [np.hypot(*(points - origin).T) for points in (clouds.points[a][near], clouds.points[b])]
-        off = (normals * (T_a_b @ clouds.points[b] - clouds.points[a][near])).sum(axis=1)
-        x = ranges[1] ** 2 - ranges[0] ** 2
-        same &= np.abs(x) > APART_M2
-        # seen from b's side: normals point to the sensor, a reading that is too long lies behind the wall
-        found.append((x[same], -off[same]))
-    return np.concatenate([x for x, _ in found]), np.concatenate([off for _, off in found])

@@ -16,8 +16,8 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec, MountedLidar, Scan
 from turtlebag.pipeline.localisation import motion_model
 from turtlebag.pipeline.localisation.deskewed_beams import Beams, prepare
-from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster
-from turtlebag.pipeline.localisation.fine_pose import FinePose
+from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
+from turtlebag.pipeline.localisation.fine_pose import FinePose, agree
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.likelihood_field import LikelihoodField
 from turtlebag.pipeline.localisation.lost_detection import ALIKE, DIFFERENT, AgreementWatch
@@ -234,7 +234,8 @@ class Amcl:
         does.
 
         The neighbourhood is searched first: wheels slip more often than robots are kidnapped, and many
-        buildings have a distant place that looks like this one.
+        buildings have a distant place that looks like this one. Where the search leads back to the estimate,
+        it is the scans that are worse than expected.
         """
         count, at = int(share * self.config.max_particles) + 1, self._at
         if at.T_map_odom is None or at.T_odom_base is None or self.watch.anywhere:
@@ -243,17 +244,19 @@ class Amcl:
         here = at.T_map_odom @ at.T_odom_base
         near = self.search.draw(count, beams, self._rng, here.xyt)
         far = self.search.draw(count, beams, self._rng)
-        gain_near, gain_far = (self._agreement_of(found, beams) for found in (near, far))
+        (place, gain_near), (_, gain_far) = (self._place_of(found, beams) for found in (near, far))
         found, gain = (near, gain_near) if gain_near > gain_far - ALIKE else (far, gain_far)
         if gain <= self.search.agreement(here.xyt, beams) + DIFFERENT:
+            if not self.agrees and narrow(place.core) and agree(here, place):
+                self.watch.confirm()
             return None
         self.searches += 1
         return found
 
-    def _agreement_of(self, poses: Array, beams: Beams) -> float:
-        """Agreement of scan and map at the main cluster of equally likely poses (n, 3)."""
-        there = main_cluster(poses, Cloud.even(poses).weights).T_map_base
-        return self.search.agreement(there.xyt, beams)
+    def _place_of(self, poses: Array, beams: Beams) -> tuple[Estimate, float]:
+        """The main cluster of equally likely poses (n, 3), and the agreement of scan and map there."""
+        there = main_cluster(poses, Cloud.even(poses).weights)
+        return there, self.search.agreement(there.T_map_base.xyt, beams)
 
     def _estimate_pose(self, beams: Beams, T_base_odom: SE2) -> None:
         estimate = main_cluster(self.cloud.poses, self.cloud.weights)

@@ -52,6 +52,14 @@ class AgreementWatch:
         self.best = max(self.best, self.fast)
         self.updates += 1
 
+    def confirm(self) -> None:
+        """A search has led back to the estimate: as scans agree with the map there, so they usually do.
+
+        Else a robot whose scans never agree as well as at the start (noise of 5 cm, three beams of ten lost)
+        would be right all along and never sure of it.
+        """
+        self.slow = min(self.slow, self.fast)
+
     def contradicted_by(self, agreement: float) -> bool:
         """Whether a scan with this agreement contradicts the estimate."""
         return agreement < (1.0 - DOUBTFUL) * self.slow

@@ -34,9 +34,8 @@ MAX_WALLS = 150
 POSE, FIXED = 3, 6
 ODOMETRY_STD = np.array([0.02, 0.02, 0.01])
 ODOMETRY_WALK = 5e-4
-# A step of 0.1 mm or 0.006 deg is none: with it the iterations of a scan end, with the fourth in any case;
-# smaller ones do not count in the NIS.
-STEP_DONE, MAX_ITERATIONS = 1e-4, 4
+# A step of 0.1 mm or 0.006 deg is none: smaller ones do not count in the NIS.
+NO_STEP = 1e-4
 # From this NIS on, odometry slipped, by about so much [m and rad].
 SLIP, SLIP_STD = 6.0, 0.1
 
@@ -106,23 +105,20 @@ class WallFilter:
         return match_beams(self._surfaces, pose, points_base, offsets, MATCH_SCALE_M, PATCH_BEAMS)
 
     def _take_in(self, points_base: Array, seen: NDArray[np.int64], sums: Array, right: Array) -> float:
-        """Correct the state by a scan, matched at the predicted pose; `seen` are its walls in the list."""
+        """Correct the state by a scan, matched at the predicted pose; `seen` are its walls in the list.
+
+        It is matched once more where that leads, and no more: four matches are no better than two (1.03 cm
+        for 1.01, mean of twelve drives).
+        """
         offsets, walls = self._offsets(), self.walls[seen]
         state = np.concatenate([range(POSE), FIXED + seen])
         before, prior = self.state[state], self.P[state][:, state].copy()
-        x = before
-        for iteration in range(MAX_ITERATIONS):
-            if iteration > 0:
-                offsets[walls] = x[3:]
-                sums, right = self._match(x[:3], offsets, points_base)
-            information, gradient = normal_equations(sums, right, walls, BEAM_STD_M**-2)
-            new = posterior(before, prior, x, information, gradient)
-            step = np.abs(new - x).max()
-            x, last = new, x
-            if step < STEP_DONE:
-                break
+        x = posterior(before, prior, before, *normal_equations(sums, right, walls, BEAM_STD_M**-2))
+        offsets[walls] = x[POSE:]
+        sums, right = self._match(x[:POSE], offsets, points_base)
+        information, gradient = normal_equations(sums, right, walls, BEAM_STD_M**-2)
         P_predicted = self.P[:POSE, :POSE].copy()
-        full_update(self.state, self.P, state, before, last, information, gradient)
+        full_update(self.state, self.P, state, before, x, information, gradient)
         return nis(before[:POSE], P_predicted, self.state[:POSE], self.P[:POSE, :POSE])
 
     def _admit(self, seen: Indices) -> NDArray[np.int64]:
@@ -266,14 +262,8 @@ def posterior(before: Array, prior: Array, x: Array, information: Array, gradien
     I and g are the beams' information and gradient at `x`, P the covariance about `before`; written
     without an inverse of P, which may be nearly singular.
     """
-    right = multiply(prior, _pull(before, x, information, gradient))
-    return before + solve(_shrink(prior, information), right)[:, 0]
-
-
-@njit(cache=True)
-def _shrink(prior: Array, information: Array) -> Array:
-    """1 + P I, (m, m): I is the sparse one of these two symmetric matrices, so it stands first below."""
-    return multiply(information, prior).T + np.eye(len(prior))
+    growth = multiply(information, prior) + np.eye(len(prior))  # (P^-1 + I)^-1 = P (1 + I P)^-1
+    return before + multiply(prior, solve(growth, _pull(before, x, information, gradient)))[:, 0]
 
 
 @njit(cache=True)
@@ -296,8 +286,8 @@ def full_update(
 ) -> None:
     """Carry the update of the states in sight over to all of x (n,) and P (n, n), in place.
 
-    With gain K = (P_ss^-1 + I)^-1 over the states in sight, all states move by P_s (u - I K u), where u
-    is the pull at the last linearisation, and P loses P_s (I - I K I) P_s^T.
+    Over the states in sight, all states move by P_s (1 + I P_ss)^-1 u, where u is the pull at the last
+    linearisation, and P loses P_s (1 + I P_ss)^-1 I P_s^T.
     """
     n, m = len(x), len(state)
     columns, prior = np.empty((n, m)), np.empty((m, m))
@@ -306,11 +296,11 @@ def full_update(
             columns[i, j] = P[i, state[j]]
         for i in range(m):
             prior[i, j] = P[state[i], state[j]]
-    gain = solve(_shrink(prior, information), prior)
     pull = _pull(before, last, information, gradient)
-    x += multiply(columns, pull - multiply(information, multiply(gain, pull)))[:, 0]
-    lost = multiply(information, multiply(information, gain).T.copy())  # I K I: K is symmetric
-    half = multiply(columns, information - lost)
+    growth = multiply(information, prior) + np.eye(m)
+    shares = multiply(columns, solve(growth, np.hstack((pull, information))))
+    x += shares[:, 0]
+    half = shares[:, 1:]
     rows = columns.T.copy()
     for i in range(n):
         row = P[i, : i + 1]
@@ -327,7 +317,7 @@ def nis(predicted: Array, P_predicted: Array, corrected: Array, P_corrected: Arr
     """Normalised innovation squared: a pose's correction over what was expected, per degree of freedom."""
     step = (corrected - predicted).reshape(-1, 1)
     step[2, 0] = (step[2, 0] + np.pi) % (2.0 * np.pi) - np.pi
-    expected = P_predicted - P_corrected + STEP_DONE**2 * np.eye(3)
+    expected = P_predicted - P_corrected + NO_STEP**2 * np.eye(3)
     return (step * solve(expected, step)).sum() / POSE
 
 

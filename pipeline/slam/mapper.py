@@ -28,7 +28,7 @@ from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.grid import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.loops.closure import close_graph, look_again
+from turtlebag.pipeline.slam.loops.closure import close_graph
 from turtlebag.pipeline.slam.odometry.breaks import breaks_of
 from turtlebag.pipeline.slam.odometry.evidence import Evidence
 from turtlebag.pipeline.slam.odometry.front_ends import FrontEndName, front_end_maker
@@ -272,22 +272,20 @@ class _Tracked:
 
 def solve_graph(session: Session, config: SlamConfig, edits: Edits, progress: Progress) -> Session:
     """The session with the loops of its graph closed, by distance and by appearance, and the poses of all
-    overlapping key scans refined together, again as long as that brings further loops within reach."""
+    overlapping key scans refined together."""
     config, keys = config.effective(), session.track.keys
     scans, graph, back_end = session.key_scans, session.graph, make_back_end(config.back_end)
     by_hand = KeyEdits.of(edits, keys, len(session.recording))
     refined = config.refine.rounds > 0 and len(keys) > 2
     loops = config.loops if refined else config.loops.model_copy(update={"held_m": 0.0})
-    closing, closed = LoopClosing(loops, by_hand, back_end), loops.enabled and len(keys) > 2
-    if closed:
+    closing = LoopClosing(loops, by_hand, back_end)
+    if loops.enabled and len(keys) > 2:
         graph = close_graph(scans, graph, session.breaks, closing, config.place_recognition, progress)
-    more: Graph | None = graph
-    while refined and more is not None:
+    if refined:
         poses, constraints = refine(
-            *scans, more.T_map_keys, more.constraints, config.refine, by_hand, back_end
+            *scans, graph.T_map_keys, graph.constraints, config.refine, by_hand, back_end
         )
-        graph = replace(more, T_map_keys=poses, constraints=constraints)
-        more = look_again(scans, graph, closing) if closed else None
+        graph = replace(graph, T_map_keys=poses, constraints=constraints)
     return replace(session, graph=graph)
 
 

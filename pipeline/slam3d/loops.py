@@ -119,7 +119,7 @@ class CloudLoops(LoopSearch):
         contexts: Contexts | None = None
         looks = lru_cache(LOOKS)(lambda k: featured(self.places.points(k)[0], self.voxel))
         for i in range(0, n, self.config.every):
-            off = reach(read_at(ways(i)[:i], self.poses[i]))[0]
+            off = reach(read_at(ways(i, np.arange(i)), self.poses[i]))[0]
             apart = np.linalg.norm(self.poses[:i, :2] - self.poses[i, :2], axis=1)
             old = self.path[i] - self.path[:i] > self.config.min_path_m
             far = np.flatnonzero(old & (off > self.config.reach_m) & (apart < off))

@@ -10,8 +10,8 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import SE3
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
+from turtlebag.pipeline.slam.graph.partners import overlapping_pairs
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, in_rounds
-from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
 from turtlebag.pipeline.slam3d.surfels import (
     COVARIANCE_SCALE,

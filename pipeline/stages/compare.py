@@ -48,7 +48,7 @@ def compare_as_asked(request: CompareRequest, out: Output | None) -> Comparison 
 def compare_outputs(folders: Sequence[Path], out: Output | None = None) -> Comparison:
     """Numbers and settings of several sides: each folder is an output, or holds the outputs of several runs.
 
-    With `out` also `index.html`, `metrics.json` and the manifest, and of two outputs `figures/*.png`.
+    With `out` also `index.html`, `metrics.json` and the manifest, and of two outputs `figures/*.svg`.
     """
     found = compare([(folder.resolve().name, _runs(folder)) for folder in folders])
     if out is None:
@@ -85,7 +85,7 @@ def compare_with_systems(
 ) -> SystemComparison:
     """An output of ours beside what other systems made of the same recording.
 
-    With `out` also `index.html`, `figures/*.png`, `systems/*.tum`, `metrics.json` and the manifest.
+    With `out` also `index.html`, `figures/*.svg`, `systems/*.tum`, `metrics.json` and the manifest.
     """
     stage = ours_of([load_stage(folder)])
     known, systems = measured(stage, files)

@@ -50,7 +50,7 @@ def make_report(
     Layouts for Foxglove or Lichtblick, in which the bags can be scrubbed through, lie beside them.
 
     `folders` are finished outputs of record, map and navigate in any number and order; those that
-    share a world or data files by hash are shown together. `paper` adds each figure as PDF and SVG.
+    share a world or data files by hash are shown together. `paper` adds each figure as PDF and PNG.
     `others` are shown beside ours. InputError for anything that is not such an output, and for other
     systems on more than one world or log.
     """

@@ -167,7 +167,9 @@ def driven_again(world: World, robot: RobotSpec, drive: Drive, seed: int) -> tup
 def _undelayed(truth: Trajectory, robot: RobotSpec) -> Trajectory:
     """The truth where the beams of the scans were taken, and not at their late stamps: as a map has it."""
     late_ns = round(1e9 * float(np.mean(robot.lidar.errors.stamp_delay)))
-    return Trajectory(truth.stamps_ns, truth.at(truth.stamps_ns - late_ns))
+    stamps, first = np.unique(truth.stamps_ns, return_index=True)  # two lidars may scan at once
+    path = Trajectory(stamps, truth.poses[first])
+    return Trajectory(truth.stamps_ns, path.at(truth.stamps_ns - late_ns))
 
 
 def _looked(recording: Recording, mapped: SlamResult, seed: int) -> Looked:

@@ -67,6 +67,9 @@ FORWARD_M = 0.325
 """Distance of the forward point ahead of the robot: dwa_local_planner's own."""
 STEP_S = 0.1
 """Time step of the simulated arcs."""
+WAYS_EVERY = 3
+"""Control periods from one computation of the distances to goal and path to the next, where obstacles change:
+they guide; the clearance, which keeps the robot from touching anything, is the newest in each period."""
 COMFORT_M = 0.3
 """More clearance than this is worth nothing; with 0.2 the 13 BARN worlds take 9.4 s instead of 8.8."""
 
@@ -136,8 +139,9 @@ class Dwa(Ramped):
         self.state: str = Phase.IDLE
         self._settler = Pursuit(model, period)
         self._path = SE2.identity(0)
-        self._costmap: Costmap | None = None
+        self._costmap: Costmap | None = None  # of the floor
         self._floor: ArcFloor | None = None
+        self._age = 0  # of the floor, in control periods
         self._to_path: tuple[SE2, Field32] | None = None  # and the frame of its grid
 
     def set_path(self, poses: SE2) -> None:
@@ -162,10 +166,14 @@ class Dwa(Ramped):
         return ramped(self._best_arc(pose, last, costmap), last, self.limits)
 
     def floor(self, pose: SE2, costmap: Costmap) -> ArcFloor:
-        """Distances to goal and path over the floor, computed again when path or costmap have changed."""
-        if self._floor is None or costmap is not self._costmap:
-            self._costmap, self._floor = costmap, self._new_floor(pose, costmap)
-        return self._floor
+        """Clearance, and distances to goal and path over the floor. Those are computed again with a new path,
+        on another grid, and from time to time where the costmap has changed."""
+        self._age += 1
+        was = self._costmap
+        moved_on = was is None or costmap.T_map_grid is not was.T_map_grid
+        if self._floor is None or moved_on or (costmap is not was and self._age >= WAYS_EVERY):
+            self._costmap, self._floor, self._age = costmap, self._new_floor(pose, costmap), 0
+        return self._floor._replace(clearance=costmap.clearance)
 
     def _new_floor(self, pose: SE2, costmap: Costmap) -> ArcFloor:
         res = costmap.resolution
@@ -217,11 +225,41 @@ def with_zero(speeds: Array) -> Array:
 @njit(cache=True)
 def value_at(field: Field32, resolution: float, x: float, y: float, otherwise: float) -> float:
     """The field's value in the cell of a point; `otherwise` off the field, or where it is not finite."""
-    rows, cols = field.shape
-    row, col = math.floor(y / resolution), math.floor(x / resolution)
+    (rows, cols), per_metre = field.shape, 1.0 / resolution  # one division for many points
+    row, col = math.floor(y * per_metre), math.floor(x * per_metre)
     if row < 0 or col < 0 or row >= rows or col >= cols or not math.isfinite(field[row, col]):
         return otherwise
     return field[row, col]
+
+
+class ArcPose(NamedTuple):
+    """A pose on an arc."""
+
+    x: float
+    y: float
+    yaw: float
+    cos: float
+    sin: float
+
+
+@njit(cache=True)
+def unit_arcs(yaw: float, ws: Array, steps: int) -> Array:
+    """Arcs at 1 m/s, (len(ws), steps + 1, 5), a pose every STEP_S: way in x and y, yaw, its cosine and sine.
+
+    At other speeds, the way is longer or shorter, and nothing else changes.
+    """
+    out = np.empty((len(ws), steps + 1, 5))
+    for k in range(len(ws)):
+        for i in range(steps + 1):
+            x, y, end = moved(0.0, 0.0, yaw, 1.0, ws[k], i * STEP_S)
+            out[k, i] = x, y, end, math.cos(end), math.sin(end)
+    return out
+
+
+@njit(cache=True)
+def pose_on(pose: tuple[float, float, float], v: float, unit: Array) -> ArcPose:
+    """Where an arc's pose (5,) at 1 m/s is at `v`, begun at a pose."""
+    return ArcPose(pose[0] + v * unit[0], pose[1] + v * unit[1], unit[2], unit[3], unit[4])
 
 
 @njit(cache=True)
@@ -241,24 +279,31 @@ def best_arc(
     # Distance from where no way leads to the goal: longer than any way over the cells.
     base = value_at(floor.to_goal, floor.resolution, x, y, floor.clearance.size * floor.resolution)
     n, far = len(vs) * len(ws), base + 1.0
+    arcs = unit_arcs(yaw, ws, max(steps_of(vs[0], c), steps_of(vs[-1], c)))
     bounds = np.full(n, np.inf)
     for k in range(n):
         v, w = vs[k // len(ws)], ws[k % len(ws)]
         if abs(v) >= c.least_v or abs(w) >= c.least_w:
-            bounds[k] = least_cost(floor, pose, v, w, inscribed, far, c)
+            bounds[k] = least_cost(floor, pose, v, arcs[k % len(ws)], inscribed, far, c)
     best_cost, best = np.inf, -1
     # The most promising ones first: the others need no look at what is around them.
     for k in np.argsort(bounds):
         if bounds[k] > best_cost or bounds[k] == np.inf:
             break
-        v, w = vs[k // len(ws)], ws[k % len(ws)]
-        room, ex, ey, eyaw = along_arc(floor, footprint, edge, pose, v, w, c, here)
+        v, arc = vs[k // len(ws)], arcs[k % len(ws)]
+        room, last = along_arc(floor, footprint, edge, pose, v, arc, c, here)
         if room == -np.inf:
             continue
-        cost = arc_cost(floor, (ex, ey, eyaw), v, room, inscribed, far, c)
+        cost = arc_cost(floor, pose_on(pose, v, arc[last]), v, room, inscribed, far, c)
         if cost < best_cost or (cost == best_cost and k < best):
             best_cost, best = cost, k
     return (0.0, 0.0) if best < 0 else (vs[best // len(ws)], ws[best % len(ws)])
+
+
+@njit(cache=True)
+def steps_of(v: float, c: ArcWeights) -> int:
+    """How many steps an arc is looked at: long enough to include the stopping distance."""
+    return math.ceil(max(c.time, abs(v) / c.braking + STEP_S) / STEP_S)
 
 
 @njit(cache=True)
@@ -266,7 +311,7 @@ def least_cost(
     floor: ArcFloor,
     pose: tuple[float, float, float],
     v: float,
-    w: float,
+    arc: Array,
     inscribed: float,
     far: float,
     c: ArcWeights,
@@ -274,8 +319,7 @@ def least_cost(
     """The cost of an arc where there is all the room in the world, wherever it may have to end."""
     least, judged = np.inf, round(c.time / STEP_S)
     for i in range(min(2, judged), judged + 1):
-        end = moved(pose[0], pose[1], pose[2], v, w, i * STEP_S)
-        least = min(least, arc_cost(floor, end, v, np.inf, inscribed, far, c))
+        least = min(least, arc_cost(floor, pose_on(pose, v, arc[i]), v, np.inf, inscribed, far, c))
     return least
 
 
@@ -286,11 +330,11 @@ def along_arc(
     edge: FootprintSamples,
     pose: tuple[float, float, float],
     v: float,
-    w: float,
+    arc: Array,
     c: ArcWeights,
     here: float,
-) -> tuple[float, float, float, float]:
-    """Least room along an arc [m], and the pose where it is judged; -inf if the arc is not admissible.
+) -> tuple[float, int]:
+    """Least room along an arc [m], and the step at which it is judged; -inf if the arc is not admissible.
 
     It is admissible if the robot can stop before its clearance falls below the least one; an arc that starts
     with less (`here`) may only gain clearance.
@@ -298,48 +342,35 @@ def along_arc(
     clearance, resolution, circumscribed = floor.clearance, floor.resolution, footprint.circumscribed
     # More room than this makes no difference.
     enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
-    x, y, yaw = pose
-    # Long enough to include the stopping distance.
-    horizon = max(c.time, abs(v) / c.braking + STEP_S)
-    steps, judged = math.ceil(horizon / STEP_S), round(c.time / STEP_S)
-    room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S
-    ex, ey, eyaw = x, y, yaw
-    for i in range(1, steps + 1):
-        px, py, pyaw = moved(x, y, yaw, v, w, i * STEP_S)
-        center = field_at(clearance, resolution, px, py)
+    room, stop_needed, last = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S, 0
+    for i in range(1, steps_of(v, c) + 1):
+        at = pose_on(pose, v, arc[i])
+        center = field_at(clearance, resolution, at.x, at.y)
         if center - circumscribed > enough:
             d = center - circumscribed
         else:
             # If nothing is within the circle, nothing is within the polygon: its outline decides.
             checked = edge if center > circumscribed + resolution else footprint
-            d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
+            d = footprint_clearance(clearance, resolution, checked, at.x, at.y, at.yaw)
         if d < c.least and d <= here:
             # It stops here at the latest, so this is the end of the arc.
             if abs(v) * (i - 1) * STEP_S < stop_needed or i <= 2:
-                return -np.inf, ex, ey, eyaw
+                return -np.inf, last
             break
-        room = min(room, d)
-        if i <= judged:
-            ex, ey, eyaw = px, py, pyaw
-    return room, ex, ey, eyaw
+        room, last = min(room, d), min(i, round(c.time / STEP_S))
+    return room, last
 
 
 @njit(cache=True)
 def arc_cost(
-    floor: ArcFloor,
-    end: tuple[float, float, float],
-    v: float,
-    room: float,
-    inscribed: float,
-    far: float,
-    c: ArcWeights,
+    floor: ArcFloor, end: ArcPose, v: float, room: float, inscribed: float, far: float, c: ArcWeights
 ) -> float:
     """The cost of an arc with its `end` and its least `room` [m]; `far` [m] is the way from off the floor."""
-    resolution, (ex, ey, eyaw) = floor.resolution, end
-    fx, fy = ex + c.ahead * math.cos(eyaw), ey + c.ahead * math.sin(eyaw)
-    way = value_at(floor.to_goal, resolution, ex, ey, far)
+    resolution = floor.resolution
+    fx, fy = end.x + c.ahead * end.cos, end.y + c.ahead * end.sin
+    way = value_at(floor.to_goal, resolution, end.x, end.y, far)
     nose = value_at(floor.to_goal, resolution, fx, fy, far)
-    off = value_at(floor.to_path, resolution, ex, ey, 1.0)
+    off = value_at(floor.to_path, resolution, end.x, end.y, 1.0)
     back = max(-v, 0.0) * c.time
     cost = c.goal * (way + nose) + c.path * off + c.back * back - c.room * min(room, COMFORT_M)
     if c.nose > 0.0:

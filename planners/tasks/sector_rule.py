@@ -6,13 +6,15 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import wrap
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.types import Scan, Twist
+from turtlebag.datasets.types import LidarSpec, Scan, Twist
 
 # The tutorial's numbers: something nearer ahead stops or slows the robot; speeds [m/s, rad/s].
 STOP_M, SLOW_M = 0.5, 1.0
@@ -59,12 +61,14 @@ def read_sectors(scan: Scan, yaw: float = 0.0) -> Sectors:
     """
     ranges = scan.ranges.astype(np.float64)
     ranges = np.where(np.isfinite(ranges) & (ranges >= LEAST_RANGE_M), ranges, np.inf)
+    return Sectors(*(float(ranges[beams].min(initial=math.inf)) for beams in beams_of(scan.lidar, yaw)))
 
-    def least(centre: float) -> float:
-        off_deg = np.round(np.degrees(np.abs(wrap(scan.lidar.angles + yaw - centre))), 3)
-        return float(ranges.min(where=off_deg <= SECTOR_DEG, initial=math.inf))
 
-    return Sectors(least(math.pi / 2.0), least(0.0), least(-math.pi / 2.0))
+@lru_cache(maxsize=8)
+def beams_of(lidar: LidarSpec, yaw: float) -> tuple[NDArray[np.int64], ...]:
+    """The beams of the three sectors: left, front and right."""
+    off = [np.abs(wrap(lidar.angles + yaw - centre)) for centre in (math.pi / 2.0, 0.0, -math.pi / 2.0)]
+    return tuple(np.flatnonzero(np.round(np.degrees(one), 3) <= SECTOR_DEG) for one in off)
 
 
 def tutorial_rule(sectors: Sectors) -> Decision:
@@ -77,6 +81,7 @@ def tutorial_rule(sectors: Sectors) -> Decision:
     return Decision("straight", Twist(CRUISE_V, 0.0))
 
 
+@lru_cache(maxsize=64)
 def in_words(state: str) -> str:
     """A state of the run log as people read it: `stop, turn left`."""
     return re.sub(r"^(stop|slow) ", r"\1, ", state.replace("_", " "))

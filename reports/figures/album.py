@@ -1,4 +1,4 @@
-"""Where a report's pictures are kept: each drawn once, saved as a file and as SVG for the page."""
+"""Where a report's pictures are kept: each drawn once, for the page and its file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from PIL import Image
 
-from turtlebag.reports.figures.animation import last_frame
 from turtlebag.reports.figures.style import save_pdf, save_png, standalone, styled, svg_text
 
 
@@ -32,7 +32,7 @@ class Picture:
 
 @dataclass
 class Album:
-    """Collects the pictures of one report in `folder`; `paper` adds each as PDF and SVG.
+    """Collects the pictures of one report in `folder`; `paper` adds each as PDF and PNG.
 
     Without a folder nothing is drawn: titles and captions only. `told` hears what is being drawn. `prefix`
     begins the names of the pictures.
@@ -46,7 +46,7 @@ class Album:
     told: Callable[[str], None] = lambda title: None
 
     def add(self, name: str, title: str, caption: str, draw: Callable[..., Figure], *drawn: Any) -> None:
-        """Call `draw`, save `name.png` and keep the SVG; names are unique within a report."""
+        """Call `draw`, save `name.svg` and keep it for the page; names are unique within a report."""
         name = self.prefix + name
         if any(picture.name == name for picture in self.pictures):
             raise ValueError(f"two pictures are called {name}")
@@ -62,25 +62,24 @@ class Album:
             if (layout := figure.get_layout_engine()) is not None:
                 layout.execute(figure)
             figure.set_layout_engine(None)  # "none" would stay an engine, and each saving draw twice
-            save_png(figure, folder / f"{name}.png")
             svg = svg_text(figure, name)
+            (folder / f"{name}.svg").write_text(standalone(svg))
             if self.paper:
                 save_pdf(figure, folder / f"{name}.pdf")
-                (folder / f"{name}.svg").write_text(standalone(svg))
+                save_png(figure, folder / f"{name}.png")
         return svg
 
     def add_animation(
-        self, name: str, title: str, caption: str, write: Callable[..., None], *told: Any
+        self, name: str, title: str, caption: str, write: Callable[..., Image.Image], *told: Any
     ) -> None:
-        """Have `write` save `name.gif`, and carry it in the page."""
+        """Have `write` save `name.gif`, and carry it in the page; what it returns is printed instead."""
         name = self.prefix + name
         self.told(title)
         picture = Picture(name, title, caption)
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             path, still = self.folder / f"{name}.gif", io.BytesIO()
-            write(path, *told)
-            last_frame(path).save(still, format="PNG", optimize=True)
+            write(path, *told).save(still, format="PNG")
             gif = data_address("gif", path.read_bytes())
             picture = Picture(name, title, caption, gif=gif, still=data_address("png", still.getvalue()))
         self.pictures.append(picture)

@@ -9,12 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, ScalarFormatter
+from matplotlib.transforms import blended_transform_factory
 
 from turtlebag.datasets.durations import seconds
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.figures.maps import legend_above
-from turtlebag.reports.figures.style import AMCL, BAD, INK, LINES, new_figure
+from turtlebag.reports.figures.style import AMCL, BAD, INK, LINES, WIDTH_IN, new_figure
 from turtlebag.reports.metrics.trajectory import PosePairs
 
 Span = tuple[int, int]
@@ -24,11 +25,25 @@ AXIS_TOLD = f"If an error exceeds {LINEAR_TO:g}, its axis is logarithmic from 1 
 """What every caption of such an axis says."""
 
 
-def stacked(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Axes over one time, one above the other."""
-    figure = new_figure(height_in)
-    axes = list(np.atleast_1d(figure.subplots(rows, 1, sharex=True)))
+def stacked(rows: int, height_in: float, *, legend: bool = False) -> tuple[Figure, list[Axes]]:
+    """Axes over one time, one above the other; `legend`: room for one above them.
+
+    Margins are fixed: to find them for axes whose labels are in line takes as long as drawing them twice.
+    """
+    figure = new_figure(height_in, layout=None)
+    left, right = 0.82 / WIDTH_IN, 1.0 - 0.12 / WIDTH_IN
+    room = {
+        "left": left,
+        "right": right,
+        "bottom": 0.46 / height_in,
+        "top": 1.0 - (0.3 if legend else 0.08) / height_in,
+    }
+    axes = list(np.atleast_1d(figure.subplots(rows, 1, sharex=True, gridspec_kw={**room, "hspace": 0.14})))
     axes[-1].set_xlabel("time [s]")
+    for axis in axes:
+        axis.yaxis.set_label_coords(
+            0.4 / WIDTH_IN, 0.5, transform=blended_transform_factory(figure.transFigure, axis.transAxes)
+        )
     return figure, axes
 
 
@@ -42,7 +57,7 @@ def speeds(truth: Trajectory) -> tuple[Array, Array, Array]:
 
 def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: Trajectory) -> Figure:
     """Position and yaw errors of SLAM and odometry, aligned with the true speed and yaw rate."""
-    figure, axes = stacked(4, 5.6)
+    figure, axes = stacked(4, 5.6, legend=True)
     start = int(truth.stamps_ns[0])
     for pairs, kind in ((odometry, "odometry"), (slam, "slam")):
         if pairs is not None:
@@ -54,7 +69,6 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
     for axis, values, label in ((axes[2], v, "speed\n[m/s]"), (axes[3], w, "yaw rate\n[rad/s]")):
         axis.plot(t, values, color=INK, linewidth=0.9)
         axis.set_ylabel(label)
-    figure.align_ylabels(axes)
     return figure
 
 
@@ -91,7 +105,6 @@ def localisation(
     for axis in axes:
         error_axis(axis)
         mark_events(axis, start_ns, contacts, goals_s)
-    figure.align_ylabels(axes)
     return figure
 
 
@@ -121,5 +134,4 @@ def clearance(
         axis.set_ylabel(f"command\n[{unit}]")
     for axis in axes:
         mark_events(axis, start, contacts, goals_s)
-    figure.align_ylabels(axes)
     return figure

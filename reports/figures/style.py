@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -88,9 +88,9 @@ def styled() -> Iterator[None]:
         yield
 
 
-def new_figure(height_in: float) -> Figure:
-    """An empty figure on the Agg canvas, laid out when drawn."""
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+def new_figure(height_in: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """An empty figure on the Agg canvas, laid out when drawn or with margins of its own."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 

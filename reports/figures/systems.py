@@ -35,7 +35,7 @@ def paths(
 
 def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], label: str) -> Figure:
     """Distances over the time since the first of all stamps; `names` give each system its colour."""
-    figure, (axes,) = stacked(1, 2.8)
+    figure, (axes,) = stacked(1, 2.8, legend=True)
     start = min(int(stamps[0]) for stamps, _ in systems.values())
     for name, (stamps, distance) in systems.items():
         line = _broken(stamps, np.stack([(stamps - start) * 1e-9, 100.0 * distance], axis=1))

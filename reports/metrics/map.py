@@ -97,6 +97,14 @@ class MapMetrics(TypedDict):
     occupied_error_m: WallErrors
 
 
+class AreaMetrics(TypedDict):
+    """True free floor that was seen and could have been seen [m2], and the share of the one in the other."""
+
+    seen_m2: float
+    visible_m2: float
+    share: float
+
+
 def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapMetrics:
     """iou: mapped occupied cells against visible surface cells, cell for cell, no tolerance: harsh,
     because a surface on a cell border may fall on either side. iou_one_cell: the same with a cell

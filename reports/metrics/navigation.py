@@ -13,8 +13,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import OWNER, RunLog
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory, yaw_difference
-from turtlebag.reports.metrics.map import MapMetrics, map_metrics
-from turtlebag.reports.metrics.seen_area import AreaMetrics, area_metrics
+from turtlebag.reports.metrics.map import AreaMetrics, MapMetrics, map_metrics
 from turtlebag.reports.metrics.trajectory import Extremes, associate, ate, summary
 
 MOST_SPEED = 10.0
@@ -138,6 +137,8 @@ def run_metrics(
         "localisation_error_m": ate(estimate, truth, align=False) if estimate else None,
     }
     if floor is not None:
+        from turtlebag.reports.metrics.seen_area import area_metrics  # a kernel: numba is slow to import
+
         found["area"] = area_metrics(
             floor.true_grid, truth.poses, floor.T_base_lidar, floor.reach, floor.radius
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TypedDict
 
 import numpy as np
 import scipy
@@ -12,19 +11,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.reports.metrics.map import EIGHT
+from turtlebag.reports.metrics.map import EIGHT, AreaMetrics
 
 Mask = NDArray[np.bool_]
 STANDS_M = 0.2
 """Spacing of the places from which the floor that can be seen is looked at."""
-
-
-class AreaMetrics(TypedDict):
-    """True free floor that was seen and could have been seen [m2], and the share of the one in the other."""
-
-    seen_m2: float
-    visible_m2: float
-    share: float
 
 
 def area_metrics(

@@ -143,14 +143,12 @@ class RecordingMetrics(TypedDict):
     odometry_rpe: Drift
 
 
-def recording_metrics(
-    truth: Trajectory, odometry: Trajectory, truth_at_scans: Trajectory
-) -> RecordingMetrics:
-    """What a recording holds, by the true poses and those of /odom in its bag, and the truth at its scans."""
-    at_scans = odometry.sampled(truth_at_scans.stamps_ns)
+def recording_metrics(odometry: Trajectory, truth: Trajectory) -> RecordingMetrics:
+    """What a recording holds, by the poses of /odom in its bag and the truth at its scans."""
+    at_scans = odometry.sampled(truth.stamps_ns)
     return {
-        "scans": len(truth_at_scans),
-        "duration_s": truth_at_scans.duration(),
+        "scans": len(truth),
+        "duration_s": truth.duration(),
         "distance_m": truth.length(),
         "odometry_ate_m": ate(at_scans, truth, align=False),
         "odometry_rpe": rpe(at_scans, truth),

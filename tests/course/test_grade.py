@@ -222,7 +222,7 @@ def test_each_page_shows_the_result_beside_the_right_one(number, file, tmp_path)
     graded = marked(file, lesson_of(number), [first_case(number)], 5)
     page = grade_page(graded, "hw.py", tmp_path / "figures")
     assert f"Lesson {number}: {lesson_of(number).title}" in page
-    assert (tmp_path / "figures/visible-1.png").stat().st_size > 5000
+    assert (tmp_path / "figures/visible-1.svg").stat().st_size > 5000
 
 
 def test_the_same_file_and_salt_give_the_same_bytes_also_with_two_threads(file, tmp_path, monkeypatch):

@@ -20,6 +20,7 @@ STEPS = [{"wait": 2.0}, {"random_walk": 9.0}, {"spin": 1.0}, {"spin": -1.0}, {"w
 TRUE = {
     "wheel_scale": 1.02, "turn_scale": 0.96, "turn_per_m": 0.02, "lidar_x": -0.01, "lidar_y": 0.015,
     "command_delay": 0.1, "max_dv": 0.5, "gyro_scale": 1.0, "sigma": 0.006, "lost": 0.05,
+    "known_offset": -0.02, "known_square": 0.004,
 }  # fmt: skip
 
 
@@ -32,7 +33,14 @@ def hidden():
         "turn_per_m": 0.02, "calibration_error": 0.0,
     })  # fmt: skip
     errors = burger.lidar.errors.model_copy(
-        update={"sigma": 0.006, "lost": 0.05, "offset": 0.0, "square": 0.0}
+        update={
+            "sigma": 0.006,
+            "lost": 0.05,
+            "offset": 0.0,
+            "square": 0.0,
+            "known_offset": -0.02,
+            "known_square": 0.004,
+        }
     )
     lidar = burger.lidar.model_copy(update={"pose": (-0.01, 0.015, 0.0), "errors": errors})
     limits = burger.limits.model_copy(
@@ -81,6 +89,15 @@ def test_the_robot_has_what_was_found_and_the_shape_of_its_base(found):
     assert found["command_delay"].value == pytest.approx(0.1, abs=0.006)  # a step is 0.033 s
     assert robot.limits.command_delay == pytest.approx(0.1)
     assert robot.wheels.calibration_error == 0.0
+
+
+def test_numbers_that_are_known_together_are_drawn_together(found):
+    names = "known_offset", "known_square"
+    rng = np.random.default_rng(3)
+    draws = [found.drawn(rng).lidar.errors for _ in range(300)]
+    common = np.corrcoef([[getattr(one, name) for one in draws] for name in names])[0, 1]
+    assert found.correlations[names] > 0.3
+    assert common == pytest.approx(found.correlations[names], abs=0.15)
 
 
 def test_the_command_writes_a_robot_that_drives(drive, found):

@@ -248,6 +248,20 @@ def test_a_place_found_must_explain_clearly_more_and_a_far_one_more_still(here, 
     assert filter_.search.asked == [(251, (5.0, 5.0, 0.0)), (251, None)]
 
 
+@pytest.mark.parametrize(("off", "sure"), [(0.0, True), (0.14, True), (0.5, False)])
+def test_where_a_search_leads_back_to_the_estimate_the_scans_are_worse_than_expected(off, sure):
+    filter_ = made(max_particles=1000, refine=False)
+    filter_.initialise(SE2.from_xyt(2.0 + off, 0.0, 0.0), np.zeros((3, 3)), SE2.identity())
+    filter_.search = Found(0.5, 0.55, 0.3)
+    filter_.watch.fast = 0.5
+    assert not filter_.agrees
+    filter_.update(scan_at(PLACE), SE2.identity())
+    assert filter_.searches == 0
+    assert filter_.agrees == sure
+    filter_.watch.fast = 0.3  # what is worse than that is still noticed
+    assert not filter_.agrees
+
+
 def test_after_a_global_start_whatever_is_found_is_taken():
     filter_ = made(max_particles=1000, refine=False)
     filter_.search = Found(0.9, 0.9, 0.9)

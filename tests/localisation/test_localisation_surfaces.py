@@ -296,7 +296,7 @@ def test_the_nis_of_a_correction_is_as_expected():
     # As the filter hands them over: the corner of all that it knows.
     less, same = (np.pad(share * P, (0, 2))[:3, :3] for share in (0.3, 1.0))
     step = np.array([0.02, -0.03, 0.05])
-    expected = step @ np.linalg.solve(P - less + walls.STEP_DONE**2 * np.eye(3), step) / 3.0
+    expected = step @ np.linalg.solve(P - less + walls.NO_STEP**2 * np.eye(3), step) / 3.0
     before = np.array([1.0, 2.0, 3.12])
     assert nis(before, P, before + step, less) == pytest.approx(expected)
     assert nis(before, P, before + step - [0, 0, 2 * math.pi], less) == pytest.approx(expected)

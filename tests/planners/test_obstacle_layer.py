@@ -58,19 +58,21 @@ def plain_sweep(seen, hits, clearance, x, y, ends, is_hit, now, obstacle_range, 
             seen[row, col] = now
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_sweeps_mark_and_clear_as_a_plain_loop_does(seed):
-    rng = np.random.default_rng(seed)
-    clearance = rng.uniform(0.0, 0.5, (26, 34)).astype(np.float32)
-    seen = np.where(rng.random((26, 34)) < 0.5, rng.uniform(0.0, 2.0, (26, 34)), NEVER)
-    hits = rng.choice([0, 1, 3, 1000], (26, 34)).astype(np.int16)
+@pytest.mark.parametrize("share", [0.5, 0.003])
+@pytest.mark.parametrize("seed", range(4))
+def test_sweeps_mark_and_clear_as_a_plain_loop_does(seed, share):
+    """Where much is marked, and where beams pass whole stretches without a mark."""
+    rng, shape = np.random.default_rng(seed), (52, 68)
+    clearance = rng.uniform(0.0, 0.5, shape).astype(np.float32)
+    hits = np.where(rng.random(shape) < share, rng.choice([1, 3, 1000], shape), 0).astype(np.int16)
+    seen = np.where(hits > 0, rng.uniform(0.0, 2.0, shape), NEVER)
     expected = seen.copy(), hits.copy()
     for now in (1.0, 2.5, 3.1):
-        x, y = rng.uniform(0.3, [3.1, 2.3])
-        ends = np.vstack([rng.uniform(-1.0, [4.4, 3.6], (40, 2)), [[x, y]]])
-        n_hits = int(rng.integers(15, 35))
-        mark_and_clear(seen, hits, clearance, RES, GridBeams(x, y, ends, n_hits, 1.4, 0.14), now)
-        plain_sweep(*expected, clearance, x, y, ends, np.arange(41) < n_hits, now, 1.4, 0.14)
+        x, y = rng.uniform(0.3, [6.2, 4.6])
+        ends = np.vstack([rng.uniform(-2.0, [8.8, 7.2], (60, 2)), [[x, y]]])
+        n_hits = int(rng.integers(40, 55))
+        mark_and_clear(seen, hits, clearance, RES, GridBeams(x, y, ends, n_hits, 4.0, 0.14), now)
+        plain_sweep(*expected, clearance, x, y, ends, np.arange(61) < n_hits, now, 4.0, 0.14)
         np.testing.assert_array_equal(seen, expected[0])
         np.testing.assert_array_equal(hits, expected[1])
     assert (seen == 3.1).any()

@@ -11,7 +11,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.planners import lattice
 from turtlebag.planners.control.controller import ramped
-from turtlebag.planners.control.dwa import Dwa, DwaConfig, best_arc, numbers
+from turtlebag.planners.control.dwa import WAYS_EVERY, Dwa, DwaConfig, best_arc, numbers
 from turtlebag.planners.costmap import Costmap, distance_field
 from turtlebag.planners.grid_distance import grid_distance
 
@@ -108,9 +108,25 @@ def test_dwa_looks_at_the_floor_with_room_to_turn_and_else_with_less():
         on[[14, 22, 30, 38, 46], 24] = True
         np.testing.assert_array_equal(floor.to_path, distance_field(on, RES))
         assert floor.clearance is costmap.clearance
-    # It is made once for a path and a costmap, wherever the robot has got to.
-    assert controller.floor(T @ SE2.from_xyt(1.2, 0.7, 0.0), costmap) is floor
-    assert controller.floor(T @ SE2.from_xyt(-9.0, 99.0, 0.0), Costmap(lethal, RES, T)) is not floor
+    # Ways are computed once for a path and a costmap, wherever the robot has got to.
+    for _ in range(WAYS_EVERY + 1):
+        assert controller.floor(T @ SE2.from_xyt(1.2, 0.7, 0.0), costmap).to_goal is floor.to_goal
+    assert controller.floor(T, Costmap(lethal, RES, SE2(T.xyt.copy()))).to_goal is not floor.to_goal
+
+
+def test_dwa_sees_obstacles_at_once_and_computes_the_ways_round_them_from_time_to_time():
+    controller, T = dwa(), SE2.identity()
+    controller.set_path(SE2.from_xyt(np.array([0.5, 2.5]), np.array([1.5, 1.5]), np.zeros(2)))
+    lethal = np.zeros((60, 60), dtype=bool)
+    ways = controller.floor(T, Costmap(lethal, RES, T)).to_goal
+    for k in range(2 * WAYS_EVERY):
+        lethal = lethal.copy()
+        lethal[20 + k, 20] = True
+        costmap = Costmap(lethal, RES, T)
+        floor = controller.floor(T, costmap)
+        assert floor.clearance is costmap.clearance
+        assert (floor.to_goal is not ways) == ((k + 1) % WAYS_EVERY == 0)
+        ways = floor.to_goal
 
 
 def test_dwa_takes_what_lies_beyond_the_floor_for_its_edge():

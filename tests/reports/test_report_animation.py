@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from tests.helpers.report_fakes import mapped_room
+from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
@@ -19,7 +20,6 @@ from turtlebag.reports.figures.animation import (
     GrowingMap,
     Screen,
     beams_in_map,
-    last_frame,
     write_mapping,
     write_run,
 )
@@ -76,11 +76,20 @@ def test_the_last_frame_shows_the_whole_drive(drive, tmp_path):
     path, recording = drive
     goals = [{"x": 1.0, "y": 1.0, "status": "reached"}, {"x": -1.0, "y": 1.0, "status": "timeout"}]
     index = np.repeat([0, 1], 20)
-    write_run(tmp_path / "run.gif", mapped_room(), path, index, goals, recording, path)
-    last, screen = last_frame(tmp_path / "run.gif"), Screen(view_box(mapped_room(), [path]))
+    last = write_run(tmp_path / "run.gif", mapped_room(), path, index, goals, recording, path)
+    screen = Screen(view_box(mapped_room(), [path]))
+    assert last.convert("RGB").tobytes() == frames(tmp_path / "run.gif")[0][-1].tobytes()
     for (x, y), colour in (((1.0, 1.0), GREEN), ((-1.0, 1.0), ORANGE), ((0.0, -1.5), PALE)):
         row, column = round((screen.box[3] - y) * screen.scale), round((x - screen.box[0]) * screen.scale)
         assert near(last, colour)[row - 1 : row + 2, column - 1 : column + 2].any(), colour
+
+
+def test_a_map_keeps_walls_that_are_thinner_than_a_pixel():
+    grid = OccupancyGrid(np.zeros((3000, 3000), dtype=np.int8), 0.05, SE2.from_xyt(1.0, 2.0, 0.1))
+    grid.cells[:, 1500] = 100
+    screen = Screen(view_box(grid))
+    shown = np.asarray(screen.ground(grid).image)
+    assert np.all((np.abs(shown.astype(int) - np.array((60, 68, 77))).max(axis=2) <= 6).any(axis=1)[5:-5])
 
 
 def test_a_run_without_map_scans_or_goals_still_moves(drive, tmp_path):
@@ -126,8 +135,8 @@ def test_a_map_that_grows_shows_thin_walls_and_nothing_behind_them(fov):
 
 def test_the_scale_bar_is_as_long_as_it_says(tmp_path):
     screen = Screen((-3.0, 3.0, -2.0, 2.0))
-    screen.write(tmp_path / "still.gif", lambda k: screen.show(SE2.identity(), 1.5), 1)
-    row = near(last_frame(tmp_path / "still.gif"), INK)[-STRIP_PX // 2]
+    still = screen.write(tmp_path / "still.gif", lambda k: (screen.ground(None), 1.5), 1)
+    row = near(still, INK)[-STRIP_PX // 2]
     dark = np.flatnonzero(row)
     bar = dark[dark > dark.max() - 1.05 * screen.scale]
     assert length_text(scale_length(6.0)) == "1 m"

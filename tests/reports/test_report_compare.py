@@ -63,9 +63,9 @@ def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
     compare_outputs([tree / "a", tree / "b"], Output(tmp_path / "out"))
     page = (tmp_path / "out/index.html").read_text()
     assert sorted(path.name for path in (tmp_path / "out/figures").iterdir()) == [
-        "apart.png",
-        "maps.png",
-        "paths.png",
+        "apart.svg",
+        "maps.svg",
+        "paths.svg",
     ]
     assert "front.sigma" in page
     assert "one run of A and B: no spread, so no difference is judged" in page
@@ -147,7 +147,7 @@ def test_plans_and_estimates_are_drawn_over_each_other_too(tmp_path):
         inputs = (record, built) if maker is fake_localise else (built,)
         one, other = (maker(tmp_path / f"{name}-{k}", *inputs) for k in "ab")
         compare_outputs([one, other], Output(tmp_path / f"compare-{name}"))
-        assert (tmp_path / f"compare-{name}" / "figures" / "paths.png").is_file()
+        assert (tmp_path / f"compare-{name}" / "figures" / "paths.svg").is_file()
 
 
 def test_a_number_that_one_side_lacks_is_sorted_as_one_that_is_not_there(tmp_path):

@@ -112,7 +112,7 @@ def test_runs_of_one_task_are_named_by_what_tells_them_apart(page, folders):
     ]
     assert "Patrol, seed 2</a>" in page.read_text()
     assert "burger in room" in page.read_text()
-    assert (page.parent / "figures/room-patrol-seed-2-path.png").is_file()
+    assert (page.parent / "figures/room-patrol-seed-2-path.svg").is_file()
 
 
 def run_of(goal, *options, seed=1, task="goal"):

@@ -15,12 +15,12 @@ from turtlebag.pipeline.slam.check.verdict import contradicted_keys, hypothesis_
 from turtlebag.pipeline.slam.explain import candidate
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.cost import mahalanobis
+from turtlebag.pipeline.slam.graph.partners import RADIUS_M, overlapping_pairs, partner_radius
 from turtlebag.pipeline.slam.graph.pose_graph import carried_poses, optimise, write_g2o
 from turtlebag.pipeline.slam.graph.refinement import RefineConfig, refine
 from turtlebag.pipeline.slam.odometry.calibration import Calibration
 from turtlebag.pipeline.slam.odometry.track import HYPOTHESES, Track
 from turtlebag.pipeline.slam.scans.clouds import make_clouds
-from turtlebag.pipeline.slam.scans.pairs import RADIUS_M, overlapping_pairs, partner_radius
 from turtlebag.pipeline.slam.sessions import border_constraint, joined_clouds, joined_track
 
 

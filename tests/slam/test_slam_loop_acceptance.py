@@ -4,9 +4,9 @@ import numpy as np
 
 from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind, Loop
-from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig, LoopFinder
-from turtlebag.pipeline.slam.loops.closure import look_again, spanned_steps
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
+from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopConfig, LoopFinder, close_loops
+from turtlebag.pipeline.slam.loops.closure import spanned_steps
 from turtlebag.pipeline.slam.scans.align import Alignment
 from turtlebag.pipeline.slam.scans.clouds import KeyScans, make_clouds
 
@@ -45,7 +45,7 @@ def test_a_loop_that_would_let_visits_see_through_walls_is_not_believed():
         assert finder.match_from(i, j, wrong, 0.0, 0.0).verdict == "free-space violations", off.xyt
 
 
-def test_places_are_searched_again_from_where_the_refinement_put_them_until_nothing_is_new():
+def test_loops_are_found_within_parts_of_the_log_and_not_across_a_break():
     true = around_the_room(300, laps=2)
     keys = np.arange(0, 300, 5)
     scans = KeyScans(make_clouds(recording(ROOM, true, odometry=true), 8.0), keys)
@@ -54,20 +54,9 @@ def test_places_are_searched_again_from_where_the_refinement_put_them_until_noth
         Constraint(k, k + 1, step, np.diag([400.0, 400.0, 4e3]), Kind.STEP)
         for k, step in enumerate(T.steps())
     ]
-    pair = Constraint(0, 30, (T[0].inverse() @ T[30]).xyt, np.eye(3), Kind.PAIR)
-    graph, closing = Graph(T, [*along, pair], [], [], np.zeros(n - 1, dtype=bool)), LoopClosing(LoopConfig())
-    again = look_again(scans, graph, closing)
-    assert again is not None
-    kinds = [c.kind for c in again.constraints]
-    assert kinds.count(Kind.LOOP) == sum(loop.accepted for loop in again.loops) > 3
-    assert kinds.count(Kind.STEP) == n - 1
-    assert Kind.PAIR not in kinds
-    assert np.abs((again.T_map_keys.xyt - T.xyt)[:, :2]).max() < 0.05
-    rounds = 0
-    while again is not None and rounds < 5:
-        again, rounds = look_again(scans, again, closing), rounds + 1
-    assert again is None
-    # across a break that nothing bridges, distance says nothing
-    torn = look_again(scans, Graph(T, along, [], [], np.arange(n - 1) == n // 2 - 1), closing)
-    assert torn is not None
-    assert all((loop.i < n // 2) == (loop.j < n // 2) for loop in torn.loops)
+    closing, part = LoopClosing(LoopConfig()), np.zeros(n, dtype=np.int64)
+    whole = close_loops(scans, T, along, closing, part)
+    assert [c.kind for c in whole.loops].count(Kind.LOOP) == sum(loop.accepted for loop in whole.record) > 3
+    assert np.abs((whole.poses - T.xyt)[:, :2]).max() < 0.05
+    torn = close_loops(scans, T, along, closing, (np.arange(n) > n // 2 - 1).astype(np.int64))
+    assert all((loop.i < n // 2) == (loop.j < n // 2) for loop in torn.record)

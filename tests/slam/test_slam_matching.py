@@ -8,6 +8,7 @@ import pytest
 from tests.helpers.slam_rooms import CORRIDOR, LDS, ROOM, SICK, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
+from turtlebag.pipeline.slam.graph.partners import overlapping_pairs
 from turtlebag.pipeline.slam.graph.refinement import pair_constraints
 from turtlebag.pipeline.slam.odometry.track import blind
 from turtlebag.pipeline.slam.scans.align import (
@@ -28,7 +29,7 @@ from turtlebag.pipeline.slam.scans.correlative import (
     points_in_map,
 )
 from turtlebag.pipeline.slam.scans.correspondences import Limits, find_partner
-from turtlebag.pipeline.slam.scans.pairs import linearise_pairs, overlapping_pairs
+from turtlebag.pipeline.slam.scans.pairs import linearise_pairs
 
 HERE = np.array([1.5, 1.2, 0.3])
 

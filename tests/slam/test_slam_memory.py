@@ -71,6 +71,24 @@ def test_the_points_of_all_scans_go_once_the_log_is_tracked():
         gc.enable()
 
 
+def test_a_log_tracked_with_few_scans_in_memory_has_the_same_track():
+    held, tracks = [], []
+    for ahead in (1000, 10):
+
+        class Watching(Lines):
+            def step(self, points, odometry_step, wait_s):
+                held.append(len(self.tracker.clouds.points))
+                return super().step(points, odometry_step, wait_s)
+
+        held.clear()
+        track = track_log(Scans.of(LOG, 30.0), TrackingConfig(), Watching, ahead=ahead)
+        tracks.append((track.T_track_base.xyt, track.keys, track.information, track.usable, max(held)))
+    (*whole, most), (*parts, fewer) = tracks
+    for one, other in zip(whole, parts, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert fewer < 0.7 * most
+
+
 def test_clouds_of_some_scans_are_those_of_all():
     scans, some = Scans.of(LOG, 30.0), np.array([0, 3, 4, 41])
     whole, (found, numbers) = scans.clouds(), scans.of_keys(some)

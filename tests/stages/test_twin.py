@@ -62,6 +62,36 @@ def test_a_twin_is_a_map_a_world_a_robot_and_a_page(twin):
     assert load_robot(str(twin / "robot.yaml")).lidar.n_beams == 360
 
 
+def twin_of(robot, place):
+    """What `twin` finds of a robot file's drive."""
+    (place / "short.yaml").write_text(SCRIPT)
+    words = ["--robot", robot, "--teleop", str(place / "short.yaml"), "--seed", "3", "-q"]
+    assert main(["record", "--world", "turtlebot3_world", *words, "--out", str(place / "rec")]) == 0
+    words = ["--robot", robot, "--drives", "1", "-q", "--out", str(place / "out")]
+    assert main(["twin", str(place / "rec"), *words]) == 0
+    return json.loads((place / "out" / "identify.json").read_text()), load_robot(
+        str(place / "out" / "robot.yaml")
+    )
+
+
+def test_a_lidar_that_turns_the_other_way_does_so_in_the_twin(tmp_path):
+    burger = load_robot("burger")
+    lidar = burger.lidar.model_copy(update={"sweep": -0.8})
+    told = burger.model_copy(update={"lidar": lidar}).model_dump(mode="json")
+    (tmp_path / "reversed.yaml").write_text(yaml.safe_dump(told))
+    found, robot = twin_of(str(tmp_path / "reversed.yaml"), tmp_path)
+    low, high = found["parameters"]["sweep"]["interval_95"]
+    assert low < -0.8 < high < -0.7
+    assert robot.lidar.sweep == pytest.approx(-0.8, abs=0.05)
+
+
+def test_the_first_of_two_lidars_is_the_twins(tmp_path):
+    found, robot = twin_of("waffle_pi_two_lidars", tmp_path)
+    assert (found["lidar"], found["other_lidars"]) == ("/scan", ["/scan_rear"])
+    assert robot.lidar.pose[0] == pytest.approx(0.03, abs=0.01)
+    assert robot.lidar.n_beams == 271
+
+
 @unrendered()
 def test_a_report_shows_robot_and_twin_and_verify_makes_them_again(place, tmp_path, capsys):
     """A changed number is found, too."""

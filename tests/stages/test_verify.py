@@ -190,8 +190,8 @@ def on_the_page(old, new):
 
 
 def a_figure(report):
-    (report / "figures/room-map-graph.png").write_bytes(b"another")
-    rehash(report, "figures/room-map-graph.png")
+    (report / "figures/room-map-graph.svg").write_bytes(b"another")
+    rehash(report, "figures/room-map-graph.svg")
 
 
 def a_table(report):

@@ -179,7 +179,7 @@ def _walls(session: Session) -> Iterator[Term]:
 
 def revisits_of(T_map_keys: SE2) -> NDArray[np.int64]:
     """Pairs (n, 2) of keys that are near in place and far in time, in order."""
-    pairs = visits(T_map_keys.xy)
+    pairs = visits(T_map_keys.xyt)
     return thinned(pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= APART_KEYS])
 
 

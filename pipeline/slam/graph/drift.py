@@ -56,9 +56,9 @@ class Drift:
         total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(self.steps, axis=0)])
         return total, np.concatenate([[0], np.cumsum(self.broken)])
 
-    def ways(self, loops: Sequence[Constraint]) -> Callable[[int], Array]:
-        """The covariance from a given key to every earlier one, along the most certain path through steps and
-        loops, (n, 3, 3). Between two keys with loops the log is the only way: a key there is as far as the
+    def ways(self, loops: Sequence[Constraint]) -> Callable[[int, NDArray[np.int64]], Array]:
+        """The covariance from a given key to earlier ones (k,), along the most certain path through steps and
+        loops, (k, 3, 3). Between two keys with loops the log is the only way: a key there is as far as the
         nearer of the two, and as it is from that one by the log. So the search is one for all of them."""
         n = len(self.T_map_keys)
         ends = np.array([(c.i, c.j) for c in loops], dtype=np.int64).reshape(-1, 2)
@@ -73,17 +73,16 @@ class Drift:
         tied = np.unique(np.append(np.flatnonzero(np.append(True, self.broken)), ends))
         search = lru_cache(maxsize=1)(lambda k: _surest(ANYWHERE, *graph, k))
 
-        def from_key(i: int) -> Array:
+        def from_key(i: int, others: NDArray[np.int64]) -> Array:
             after = int(np.searchsorted(tied, i, side="right"))
             beside = [k for k in tied[after - 1 : after + 1].tolist() if part[k] == part[i]]
             nearer = min(beside, key=lambda k: abs(k - i))
-            between = np.arange(beside[0], max(i, nearer) + 1)
-            by_log = self.along(np.full(len(between), i), between)
-            from_there = search(nearer)
+            by_log = self.along(np.full(len(others), i), others)
+            from_there = search(nearer)[others]
             reached = from_there[:, :1, :1] < ANYWHERE[0, 0]
-            out = np.where(reached, from_there + by_log[nearer - beside[0]], ANYWHERE)
-            out[between] = by_log
-            return out
+            by_loops = from_there + self.along(np.array([i]), np.array([nearer]))
+            between = (beside[0] <= others) & (others <= max(i, nearer))
+            return np.where(between[:, None, None], by_log, np.where(reached, by_loops, ANYWHERE))
 
         return from_key
 

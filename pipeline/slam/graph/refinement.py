@@ -19,11 +19,12 @@ from turtlebag.pipeline.slam.graph.back_end import BackEnd
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind
 from turtlebag.pipeline.slam.graph.cost import Poses
 from turtlebag.pipeline.slam.graph.edits import KeyEdits
+from turtlebag.pipeline.slam.graph.partners import alike_within, overlapping_pairs, partner_radius
 from turtlebag.pipeline.slam.graph.pose_graph import Gtsam, optimise
 from turtlebag.pipeline.slam.scans.align import match_information
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits
-from turtlebag.pipeline.slam.scans.pairs import alike_within, match_pairs, overlapping_pairs, partner_radius
+from turtlebag.pipeline.slam.scans.pairs import match_pairs
 
 # Where no key moved farther in a round [m or rad], the next round is the last.
 STILL = 0.01

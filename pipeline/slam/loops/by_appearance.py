@@ -134,7 +134,7 @@ def submap_searches(
     ways, first_visits = drift.ways(known), list[int]()
     for i in middles:
         older = np.array(first_visits, dtype=np.int64)
-        off, _ = reach(read_at(ways(i)[older], poses[i]))
+        off, _ = reach(read_at(ways(i, older), poses[i]))
         apart = np.linalg.norm(poses[older, :2] - poses[i, :2], axis=1)
         same_way = np.cos(poses[older, 2] - poses[i, 2]) > SAME_WAY
         if ((apart + off < NEAR_M) & same_way).any():
@@ -226,7 +226,7 @@ class Violations(NamedTuple):
         """Of visits between which there is little drift: people, glass."""
         poses = self.drift.T_map_keys
         # drift excludes those far apart in time; a sample holds enough of the others
-        pairs = thinned(visits(poses[:, :2]), 10)
+        pairs = thinned(visits(poses), 10)
         off = reach(read_at(self.drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
         return self._mean(poses, pairs[off < THROUGH_M], 0.0)
 

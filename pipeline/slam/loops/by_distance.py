@@ -25,6 +25,7 @@ from turtlebag.pipeline.slam.graph.back_end import BackEnd
 from turtlebag.pipeline.slam.graph.constraints import Constraint, Kind, Loop
 from turtlebag.pipeline.slam.graph.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.graph.edits import KeyEdits
+from turtlebag.pipeline.slam.graph.partners import compared_with, earlier_in_place
 from turtlebag.pipeline.slam.graph.pose_graph import Gtsam
 from turtlebag.pipeline.slam.loops.acceptance import loop_verdict
 from turtlebag.pipeline.slam.loops.matcher import LoopMatch, Stretch
@@ -179,8 +180,9 @@ class LoopSearch(ABC):
         self._optimise(n, [c for c in [*self.steps, *self.loops] if max(c.i, c.j) < n])
 
     def _judge_drift(self) -> None:
-        """The uncertainty of the keys' poses by the current graph."""
+        """The uncertainty of the keys' poses by the current graph, and the places that they are in."""
         self.ways = drift_of(self.poses, self.steps).ways(self.loops)
+        self._earlier = earlier_in_place(self.poses)
 
     def _query(self, i: int) -> Loop | None:
         """The best older place for key i, or None if none is near enough."""
@@ -199,14 +201,14 @@ class LoopSearch(ABC):
         """PLACES older keys near key i, nearest first, with their search radius [m] and angle [rad]."""
         config = self.config
         returned = self.path[i] - self.path[:i] > config.min_path_m
-        old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))
+        old = np.flatnonzero(returned & (self.part[:i] == self.part[i]) & compared_with(self._earlier, i))
         old = old[~self.edits.rejects(i, old)]
         distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
         within = distance < config.reach_m + 1.0
         old, distance = old[within], distance[within]
         if len(old) == 0:
             return []
-        gates, turns = reach(read_at(self.ways(i)[old], self.poses[i]))
+        gates, turns = reach(read_at(self.ways(i, old), self.poses[i]))
         gates, turns = np.minimum(gates + CELL_M, config.reach_m), np.minimum(turns + TURN_RAD, MOST_TURN_RAD)
         found: list[tuple[int, float, float]] = []
         near = np.flatnonzero(distance < gates + 1.0)

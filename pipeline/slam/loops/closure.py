@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Kind, Loop, firm
+from turtlebag.pipeline.slam.graph.constraints import Constraint, Graph, Loop, firm
 from turtlebag.pipeline.slam.loops.by_appearance import PlaceRecognitionConfig, recognise_places, relaxed
 from turtlebag.pipeline.slam.loops.by_distance import LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.odometry.breaks import TrackBreaks
@@ -52,23 +52,6 @@ def close_graph(
         record += finder.record
     unbridged = breaks.broken & ~found.released & ~spanned_steps(record, n)
     return Graph(SE2(finder.poses), [*steps, *finder.loops], record, found.record, unbridged)
-
-
-def look_again(scans: KeyScans, graph: Graph, closing: LoopClosing) -> Graph | None:
-    """The graph with the loops by distance that its refinement has brought within reach, and without pairs,
-    which are to be refined anew; None if there are none.
-
-    All keys are searched from where they are now, before any of them moves.
-    """
-    held = [c for c in graph.constraints if c.kind is not Kind.PAIR]
-    steps, loops = [c for c in held if c.kind is not Kind.LOOP], [c for c in held if c.kind is Kind.LOOP]
-    part = np.concatenate([[0], np.cumsum(graph.unbridged)])
-    finder = LoopFinder(scans, graph.T_map_keys, steps, closing, part, loops)
-    finder.process(range(len(scans.keys)))
-    if len(finder.loops) == len(loops):
-        return None
-    record, unbridged = [*graph.loops, *finder.record], graph.unbridged
-    return Graph(SE2(finder.poses), [*steps, *finder.loops], record, graph.recognised, unbridged)
 
 
 def _added(

@@ -12,6 +12,7 @@ from turtlebag.datasets.bearing import bearing
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.threads import in_parts
+from turtlebag.pipeline.slam.graph.partners import compared, earlier_in_place
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import relative_pose
 
@@ -44,10 +45,16 @@ def contradicts(violation: float, usual: float = 0.0) -> bool:
     return violation > usual + MOST_VIOLATIONS
 
 
-def visits(xy: Array) -> NDArray[np.int64]:
-    """Pairs (n, 2) of positions (k, 2) that are visits of one place, in order."""
-    pairs = scipy.spatial.cKDTree(xy).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
-    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
+def visits(poses: Array) -> NDArray[np.int64]:
+    """Pairs (n, 2) of keys at poses (k, 3) that are visits of one place, in order."""
+    found = []
+    for some, others in compared(earlier_in_place(poses)):
+        one, other = (scipy.spatial.cKDTree(poses[keys, :2]) for keys in (some, others))
+        near = one.sparse_distance_matrix(other, NEAR_M, output_type="coo_matrix")
+        found.append(np.sort([some[near.row], others[near.col]], axis=0))
+    pairs = np.concatenate(found, axis=1)
+    numbers = pairs[0] * len(poses) + pairs[1]
+    return np.column_stack(np.divmod(np.unique(numbers[pairs[0] < pairs[1]]), len(poses)))
 
 
 def thinned(pairs: NDArray[np.int64], times: int = 1) -> NDArray[np.int64]:

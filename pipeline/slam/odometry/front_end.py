@@ -50,8 +50,8 @@ class TrackedLog(Protocol):
     """The log tracked so far, for front ends to read. Poses (3,) are x, y [m], yaw [rad], as `T_track_base`.
 
     `scan` is being placed; `velocity` (3,) is the motion of the one before, in the base frame of its own
-    predecessor. `clouds.of(k)` are the points (n, 2) [m] of scan k in its base frame; `keys` are the key
-    scans, at first one that has points.
+    predecessor. `clouds.of(k)` are the points (n, 2) [m] of scan k in its base frame, which has some if it
+    is a key scan or the current one; `keys` are the key scans, at first one that has points.
     """
 
     clouds: Clouds

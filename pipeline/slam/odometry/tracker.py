@@ -29,6 +29,8 @@ from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Key scans of the coarse search, its cells [m], and of how many scans the usual time between them is.
 FIELD_KEYS, FIELD_M, WAITS = 30, 0.1, 64
+# The points of this many scans are made at once, or of a quarter of those before them.
+AHEAD = 8192
 
 
 class Tracker:
@@ -46,10 +48,12 @@ class Tracker:
         self._field: Field | None = None
         first = np.zeros(3) if self.odometry is None else self.odometry[0].copy()
         self._placed = [Placed(first, np.zeros((3, 3)), 1.0)]
+        self._matchable = [self._has_matches(0)]
         self._add_key()
 
     def extend(self, clouds: Clouds, T_odom_base: Array | None) -> None:
-        """Continue with a longer log: all its scans, and odometry (n, 3), if there is any."""
+        """Continue with a longer log: points of the key scans and of those to come, and odometry (n, 3) of
+        all scans, if there is any."""
         self.clouds, self.odometry = clouds, T_odom_base
 
     def forget(self, scans: NDArray[np.bool_]) -> None:
@@ -57,6 +61,7 @@ class Tracker:
         stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
         self.keys = [int(number[key]) for key in self.keys if stays[key]]
         self._placed = [self._placed[k] for k in np.flatnonzero(stays).tolist()]
+        self._matchable = [self._matchable[k] for k in np.flatnonzero(stays).tolist()]
         self.scan, self._field = int(number[self.scan]), None
         if len(self.keys) < n_keys:
             # the distance between successive key scans is no longer the distance driven
@@ -92,7 +97,8 @@ class Tracker:
             (x, y, turn), config = between(self.pose_of(last_key), placed.T_track_base), self.config
             moved = bool(np.hypot(x, y) > config.key_distance_m or abs(turn) > config.key_turn_rad)
         self._placed.append(placed)
-        if moved and placed.sure and self._has_matches(self.scan):
+        self._matchable.append(self._has_matches(self.scan))
+        if moved and placed.sure and self._matchable[-1]:
             self._add_key()
 
     @property
@@ -144,7 +150,7 @@ class Tracker:
             np.array([one.source for one in placed], dtype=np.int8),
             steps,
             self.calibration,
-            np.array([self._has_matches(scan) for scan in range(begin, self.scan + 1)]),
+            np.array(self._matchable[begin:]),
         )
 
     @property
@@ -179,7 +185,7 @@ class Tracker:
     def _add_key(self) -> None:
         self.keys.append(self.scan)
         self._field = None
-        if self._front_end is None and self._has_matches(self.scan):
+        if self._front_end is None and self._matchable[-1]:
             # a circle of two would keep the points of the whole log in memory long after it is tracked
             self._front_end = self._make(weakref.proxy(self))
         if len(self.keys) & (len(self.keys) - 1) == 0:  # again whenever their number has doubled
@@ -190,11 +196,18 @@ Maker = Callable[[Tracker], FrontEnd]
 """Makes a front end for a tracker whose last scan is the first that others can be matched with."""
 
 
-def track_log(scans: Scans, config: TrackingConfig, make: Maker, progress: Progress = no_progress) -> Track:
-    """Run a front end over a log."""
-    tracker = Tracker(scans.clouds(), scans.recording, config, scans.usable_m, make)
+def track_log(
+    scans: Scans, config: TrackingConfig, make: Maker, progress: Progress = no_progress, ahead: int = AHEAD
+) -> Track:
+    """Run a front end over a log, with the points of its key scans and of those `ahead` in memory."""
+    n, end = len(scans), min(ahead, len(scans))
+    tracker = Tracker(scans.of_keys(np.arange(end)).clouds, scans.recording, config, scans.usable_m, make)
     waits_s = seconds(np.diff(scans.recording.stamps_ns)).tolist()
-    for step in progress(range(1, len(scans)), "matching scans", len(scans) - 1):
+    for step in progress(range(1, n), "matching scans", n - 1):
+        if step == end:
+            end = min(end + max(ahead, end // 4), n)
+            needed = np.append(tracker.keys, np.arange(step, end))
+            tracker.extend(scans.of_keys(needed).clouds, tracker.odometry)
         tracker.step(waits_s[step - 1])
     tracker.calibrate()
     return tracker.track()

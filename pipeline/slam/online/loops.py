@@ -81,7 +81,7 @@ class GrowingLoops(LoopFinder):
         return needed
 
     def _sigma(self, i: int) -> float:
-        return float(sigma_m(read_at(self.ways(0)[i], self.poses[i])))
+        return float(sigma_m(read_at(self.ways(0, np.array([i]))[0], self.poses[i])))
 
     def _close(self, loop: Loop) -> None:
         constraint = self.config.constraint(loop)

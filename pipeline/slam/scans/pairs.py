@@ -6,56 +6,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.point_to_line import add_equation, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.threads import in_parts
-from turtlebag.pipeline.slam.scans.align import NEIGHBOURS, direction_var, observable, possible, safe_solve
+from turtlebag.pipeline.slam.scans.align import direction_var, observable, possible, safe_solve
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.scans.open3d_icp import match_points
-
-# Key scans farther apart than this [m], or than the usual range if that is longer, see too little of the same
-# to be partners; this many on either side of one in time see the same as it does, and proportionally more if
-# the lidar sees farther.
-RADIUS_M, ALIKE = 4.0, 2
-# Near means in place and in heading: keys turned by 1 rad are as far as those this far away [m].
-TURN_M = 0.5
-
-
-def partner_radius(clouds: Clouds) -> float:
-    """The distance [m] up to which key scans are partners: the median of their ranges, or RADIUS_M."""
-    ranges = np.linalg.norm(clouds.points - clouds.origins(), axis=1)
-    return max(RADIUS_M, float(np.median(ranges))) if len(ranges) else RADIUS_M
-
-
-def alike_within(radius: float) -> int:
-    """The keys before and after one that see the same as it, where partners are up to `radius` [m] apart."""
-    return round(ALIKE * radius / RADIUS_M)
-
-
-def overlapping_pairs(
-    T_map_keys: SE2, radius: float = RADIUS_M, neighbours: int = NEIGHBOURS, alike: int = ALIKE
-) -> NDArray[np.int64]:
-    """Pairs (n, 2), i < j, of nearby keys: each key with its two successors in time and its nearest ones.
-    These are spread over all visits to the place: once a key is taken, those up to `alike` before and after
-    it are left out, as the same view adds nothing."""
-    n, most = len(T_map_keys), 1 + neighbours * (2 * alike + 1)
-    beside = TURN_M * np.column_stack([np.cos(T_map_keys.yaw), np.sin(T_map_keys.yaw)])
-    at, key = np.column_stack([T_map_keys.xy, beside]), np.arange(n)
-    near = scipy.spatial.cKDTree(at).query(at, most, distance_upper_bound=radius)[1]
-    taken, count = np.full((n, neighbours), -alike - 1), np.zeros(n, dtype=np.int64)
-    for one in near.T:  # the nearest of each key first; n where there is none
-        fresh = (one < n) & (one != key) & (count < neighbours)
-        fresh &= (np.abs(one[:, None] - taken) > alike).all(axis=1)
-        taken[fresh, count[fresh]] = one[fresh]
-        count += fresh
-    i, k = np.nonzero(taken >= 0)
-    found = [key[:-1, None] + [0, 1], key[:-2, None] + [0, 2], np.column_stack([i, taken[i, k]])]
-    return np.unique(np.sort(np.concatenate(found), axis=1), axis=0)
 
 
 class PairMatches(NamedTuple):

@@ -21,11 +21,11 @@ from turtlebag.datasets.lidars import of_each_lidar
 from turtlebag.datasets.point_to_line import linearise, of_the_line
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
+from turtlebag.pipeline.slam.graph.partners import overlapping_pairs
 from turtlebag.pipeline.slam.odometry.track import Track
 from turtlebag.pipeline.slam.scans.align import STEP_COVARIANCE_SCALE
 from turtlebag.pipeline.slam.scans.clouds import Clouds
 from turtlebag.pipeline.slam.scans.correspondences import Limits, partner_line, relative_pose
-from turtlebag.pipeline.slam.scans.pairs import overlapping_pairs
 from turtlebag.pipeline.slam.scans.scans import Scans
 
 # Lidars that see farther than this [m] measure time of flight, and have no error that grows with the square

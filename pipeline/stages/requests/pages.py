@@ -65,7 +65,7 @@ class ReportRequest(SystemsRequest):
         tuple[Path, ...],
         file("DIR", "outputs of record, map, localise, plan and navigate", "rec", positional=True),
     ]
-    paper: Annotated[bool, flag("also save each figure as PDF and SVG")] = False
+    paper: Annotated[bool, flag("also save each figure as PDF and PNG")] = False
     index: Annotated[bool, flag("make a sortable table of all outputs below DIR instead")] = False
     animate: Annotated[bool, flag("leave out the animations, for a smaller page", "--no-animation")] = True
     system: Annotated[

@@ -174,7 +174,7 @@ def report(
     """Make one page about recordings, maps, runs, localisations and plans, with figures and numbers.
 
     `systems` are other systems to show beside ours: files or `System`s by name. `animate=False` leaves out
-    the animations, `paper=True` adds every figure as PDF and SVG. InputError for anything that is not such an
+    the animations, `paper=True` adds every figure as PDF and PNG. InputError for anything that is not such an
     output, and for systems that cannot be compared with it. `turtlebag verify` needs the outputs themselves:
     give them an `out` to keep them.
     """
