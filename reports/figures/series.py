@@ -31,7 +31,7 @@ def stacked(rows: int, height_in: float, *, legend: bool = False) -> tuple[Figur
     Margins are fixed: to find them for axes whose labels are in line takes as long as drawing them twice.
     """
     figure = new_figure(height_in, layout=None)
-    left, right = 0.82 / WIDTH_IN, 1.0 - 0.12 / WIDTH_IN
+    left, right = 0.9 / WIDTH_IN, 1.0 - 0.12 / WIDTH_IN
     room = {
         "left": left,
         "right": right,
@@ -42,7 +42,7 @@ def stacked(rows: int, height_in: float, *, legend: bool = False) -> tuple[Figur
     axes[-1].set_xlabel("time [s]")
     for axis in axes:
         axis.yaxis.set_label_coords(
-            0.4 / WIDTH_IN, 0.5, transform=blended_transform_factory(figure.transFigure, axis.transAxes)
+            0.38 / WIDTH_IN, 0.5, transform=blended_transform_factory(figure.transFigure, axis.transAxes)
         )
     return figure, axes
 
@@ -93,7 +93,7 @@ def error_axis(axis: Axes) -> None:
         axis.yaxis.set_major_locator(FixedLocator([0.0, *(tick for tick in decades if tick <= most)]))
         axis.yaxis.set_minor_locator(NullLocator())
         axis.yaxis.set_major_formatter(ScalarFormatter())
-    axis.set_ylim(0.0, 1.1 * max(most, 1e-3))
+    axis.set_ylim(0.0, 1.1 * max(most, 1e-2))
 
 
 def localisation(
