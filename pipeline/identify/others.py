@@ -14,6 +14,8 @@ from turtlebag.sim.robots import ImuMount
 NOISE_EQUATION = "sigma = |w(k-1) - 2 w(k) + w(k+1)| by the median, over sqrt(6)"
 STILL_EQUATION = "mean of the readings while the odometry stands still"
 ENOUGH = 200
+# Parts of a log whose noise is compared, and the differences of readings that each has at least.
+NOISE_PARTS, LEAST_OF_PART = 4 * PARTS, 11
 # Share by which motion may raise the noise.
 MOTION = {"gyro_noise": 0.01, "accelerometer_noise": 0.0175}
 
@@ -25,7 +27,7 @@ def imu_findings(recording: Recording, base: ImuMount) -> Findings:
         ("gyro_noise", "rad/s", base.gyro_noise),
         ("accelerometer_noise", "m/s^2", base.accelerometer_noise),
     )
-    if imu is None or len(imu.stamps_ns) < ENOUGH:
+    if imu is None or len(imu.stamps_ns) < NOISE_PARTS * LEAST_OF_PART + 2:
         why = "no IMU" if imu is None else "too few samples of the IMU"
         found.estimates += [unknown(name, value, unit, NOISE_EQUATION, why) for name, unit, value in noises]
         found.estimates.append(
@@ -43,7 +45,7 @@ def imu_findings(recording: Recording, base: ImuMount) -> Findings:
 def _noise(name: str, unit: str, usual: float, values: Array, found: Findings) -> None:
     """By second differences, which slow motion does not show in, of each axis in each part of the log."""
     e = (values[:-2] - 2.0 * values[1:-1] + values[2:]) / np.sqrt(6.0)
-    parts = [part for part in np.array_split(e, 4 * PARTS) if len(part) > 10]
+    parts = np.array_split(e, NOISE_PARTS)
     of_parts = np.array([[float(sigma_by_median(axis)) for axis in part.T] for part in parts])
     alive = np.median(of_parts, axis=0) > 0.0
     if not alive.any():

@@ -77,9 +77,9 @@ def by_the_ruler(estimates: list[Estimate], session: Session, base: RobotSpec) -
     itself at the usual range. What of it the map was not corrected by is taken out; what is unknown counts.
     """
     square = next(one for one in estimates if one.name == "known_square")
-    keys = session.track.keys
-    seen = session.recording.ranges[keys]
-    usual = float(np.median(seen[session.recording.lidar.returns(seen)])) if len(keys) else 0.0
+    seen = session.recording.ranges[session.track.keys]
+    seen = seen[session.recording.lidar.returns(seen)]
+    usual = float(np.median(seen)) if len(seen) else 0.0
     left = 2.0 * usual * (square.value - session.ranges.square_per_m) if square.observable else 0.0
     unsure = 2.0 * usual * square.sigma if square.observable else 0.0
     if not square.observable and session.recording.lidar.range_max <= TRIANGULATES_M:

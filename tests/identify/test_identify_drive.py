@@ -162,6 +162,20 @@ def test_without_commands_imu_and_joints_their_numbers_are_the_bases(found):
     assert rest["slip"].value == found["slip"].value
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("world", ["empty", "turtlebot3_world"])
+def test_a_few_seconds_or_a_place_without_walls_show_little_and_break_nothing(world, tmp_path, capsys):
+    (tmp_path / "short.yaml").write_text("name: short\nsteps: [{drive: 0.6}, {turn_deg: 60}]\n")
+    words = ["--world", world, "--teleop", str(tmp_path / "short.yaml"), "--seed", "2", "-q"]
+    assert main(["record", *words, "--out", str(tmp_path / "rec")]) == 0
+    assert main(["identify", str(tmp_path / "rec"), "-q", "--out", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "identify.json").read_text())["parameters"]
+    assert told["gyro_noise"]["why"] == "too few samples of the IMU"
+    assert not told["known_square"]["observable"]
+    assert np.isfinite([one["value"] for one in told.values()]).all()
+    assert load_robot(str(tmp_path / "out" / "robot.yaml")).lidar.n_beams == 360
+
+
 def test_a_recording_of_which_no_robot_can_be_made_is_refused(found):
     with pytest.raises(InputError, match=r"its robot: lidar\.range_max: must be less than"):
         robot_of({**found.values, "range_max": 1e9}, found.recording, found.base)
